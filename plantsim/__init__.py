@@ -1,0 +1,109 @@
+"""plantsim: grow plants, make them solid, bend them, learn their stiffness from touches.
+
+    Skeleton -> Solid -> TetMesh -> ElasticModel -> Equilibrium -> Observation -> Estimate
+
+Every public name is here; its module is imported when the name is first used, so that
+`import plantsim` itself loads numpy and scipy only.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
+    from plantsim.elastic.loads import force as force
+    from plantsim.elastic.loads import gravity as gravity
+    from plantsim.elastic.loads import move as move
+    from plantsim.elastic.material import Material as Material
+    from plantsim.elastic.model import ElasticModel as ElasticModel
+    from plantsim.errors import DependencyError as DependencyError
+    from plantsim.errors import EstimateError as EstimateError
+    from plantsim.errors import FileError as FileError
+    from plantsim.errors import GeometryError as GeometryError
+    from plantsim.errors import MaterialError as MaterialError
+    from plantsim.errors import MeshError as MeshError
+    from plantsim.errors import ModelError as ModelError
+    from plantsim.errors import PlantsimError as PlantsimError
+    from plantsim.errors import SolverError as SolverError
+    from plantsim.estimation.estimate import Estimate as Estimate
+    from plantsim.estimation.estimate import estimate as estimate
+    from plantsim.estimation.force_matrix import force_matrix as force_matrix
+    from plantsim.estimation.observation import Observation as Observation
+    from plantsim.estimation.observation import observe as observe
+    from plantsim.estimation.observation import read_observations as read_observations
+    from plantsim.estimation.observation import write_observations as write_observations
+    from plantsim.estimation.parameters import per_element as per_element
+    from plantsim.estimation.parameters import per_limb as per_limb
+    from plantsim.mesh.files import read_mesh as read_mesh
+    from plantsim.mesh.files import write_mesh as write_mesh
+    from plantsim.mesh.tetmesh import TetMesh as TetMesh
+    from plantsim.plant.simple import fork as fork
+    from plantsim.plant.simple import straight as straight
+    from plantsim.plant.simple import tapered as tapered
+    from plantsim.plant.skeleton import Limb as Limb
+    from plantsim.plant.skeleton import Skeleton as Skeleton
+    from plantsim.plant.weber_penn import WeberPenn as WeberPenn
+    from plantsim.plant.weber_penn import species as species
+    from plantsim.plant.weber_penn import weber_penn as weber_penn
+    from plantsim.solid.sweep import Solid as Solid
+    from plantsim.solid.sweep import sweep as sweep
+    from plantsim.solid.tetrahedralize import tetrahedralize as tetrahedralize
+    from plantsim.solve.direct import Direct as Direct
+    from plantsim.solve.multigrid import Multigrid as Multigrid
+    from plantsim.view.figures import figure_deformation as figure_deformation
+    from plantsim.view.figures import figure_material as figure_material
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "plantsim.elastic.equilibrium": ("Equilibrium",),
+    "plantsim.elastic.loads": ("force", "gravity", "move"),
+    "plantsim.elastic.material": ("Material",),
+    "plantsim.elastic.model": ("ElasticModel",),
+    "plantsim.errors": (
+        "DependencyError",
+        "EstimateError",
+        "FileError",
+        "GeometryError",
+        "MaterialError",
+        "MeshError",
+        "ModelError",
+        "PlantsimError",
+        "SolverError",
+    ),
+    "plantsim.estimation.estimate": ("Estimate", "estimate"),
+    "plantsim.estimation.force_matrix": ("force_matrix",),
+    "plantsim.estimation.observation": (
+        "Observation",
+        "observe",
+        "read_observations",
+        "write_observations",
+    ),
+    "plantsim.estimation.parameters": ("per_element", "per_limb"),
+    "plantsim.mesh.files": ("read_mesh", "write_mesh"),
+    "plantsim.mesh.tetmesh": ("TetMesh",),
+    "plantsim.plant.simple": ("fork", "straight", "tapered"),
+    "plantsim.plant.skeleton": ("Limb", "Skeleton"),
+    "plantsim.plant.weber_penn": ("WeberPenn", "species", "weber_penn"),
+    "plantsim.solid.sweep": ("Solid", "sweep"),
+    "plantsim.solid.tetrahedralize": ("tetrahedralize",),
+    "plantsim.solve.direct": ("Direct",),
+    "plantsim.solve.multigrid": ("Multigrid",),
+    "plantsim.view.figures": ("figure_deformation", "figure_material"),
+}
+_MODULE = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = sorted([*_MODULE, "__version__"])  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    module = _MODULE.get(name)
+    if module is None:
+        raise AttributeError(f"module 'plantsim' has no attribute {name!r}")
+    value = getattr(importlib.import_module(module), name)
+    globals()[name] = value  # the next look-up finds it at once
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

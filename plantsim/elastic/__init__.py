@@ -1,0 +1,1 @@
+"""What bends: materials, stiffness, supports, loads, equilibrium."""

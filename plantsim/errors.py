@@ -1,0 +1,37 @@
+"""The exception family: what was wrong, the number seen, and what to do."""
+
+
+class PlantsimError(Exception):
+    """Any error that plantsim raises on purpose."""
+
+
+class GeometryError(PlantsimError, ValueError):
+    """A skeleton or solid that cannot be swept or meshed."""
+
+
+class MeshError(PlantsimError, ValueError):
+    """A mesh that no finite element method can use, or a mesher that failed."""
+
+
+class FileError(PlantsimError, ValueError):
+    """A file that is missing, broken, foreign, or that would run code."""
+
+
+class MaterialError(PlantsimError, ValueError):
+    """Moduli or densities that no stable solid has."""
+
+
+class ModelError(PlantsimError, ValueError):
+    """Supports, loads or moved vertices that make no well-posed problem."""
+
+
+class SolverError(PlantsimError, RuntimeError):
+    """A solve that did not reach its backward error."""
+
+
+class EstimateError(PlantsimError, ValueError):
+    """Observations or options from which nothing can be estimated."""
+
+
+class DependencyError(PlantsimError, ImportError):
+    """An optional package or a system library that is not installed."""

@@ -1,0 +1,1 @@
+"""What is learnt: observations and the estimate of moduli."""

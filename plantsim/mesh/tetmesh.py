@@ -1,0 +1,283 @@
+"""TetMesh: tetrahedra of order 1 or 2, with limbs as regions and named vertex sets."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from plantsim.arrays import Array, few, frozen, vertex_ids
+from plantsim.errors import MeshError
+
+EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # VTK: nodes 4 to 9
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # outward normals
+FACE_MIDS = np.array([[6, 5, 4], [4, 8, 7], [5, 9, 8], [7, 9, 6]])  # on edges 01, 12, 20
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TetMesh:
+    """A tetrahedral mesh. Vertex ids are rows of `points`, midside nodes included.
+
+    `tets` has 4 columns (order 1) or 10 (order 2, VTK order: corners, then the middles of
+    edges 01, 12, 02, 03, 13, 23). `region` is the limb of each tet and indexes
+    `region_names`. `sets` maps names to vertex ids. Raises MeshError on ids out of range,
+    inverted or zero-volume tets, and vertices in no tet.
+    """
+
+    points: Array  # (n, 3) [m]
+    tets: Array  # (m, 4 | 10)
+    region: Array | None = None  # (m,) int, zeros where None
+    sets: Mapping[str, Array] = field(default_factory=dict)
+    region_names: tuple[str, ...] = ()
+    report: Mapping[str, Any] | None = None  # what the mesher did, where it was ours
+
+    def __post_init__(self) -> None:
+        points = frozen(self.points, (None, 3), name="points", error=MeshError)
+        columns = np.shape(self.tets)[-1] if np.ndim(self.tets) == 2 else 0
+        if columns not in (4, 10) or len(self.tets) == 0:
+            raise MeshError(
+                f"tets: shape {np.shape(self.tets)}, wanted (m, 4) or (m, 10) with m at "
+                "least 1. Give tetrahedra of order 1 or 2."
+            )
+        tets = frozen(self.tets, (None, columns), np.int64, name="tets", error=MeshError)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "tets", tets)
+        bad = np.flatnonzero(((tets < 0) | (tets >= len(points))).any(axis=1))
+        if bad.size:
+            raise MeshError(
+                f"{bad.size} tets name vertices outside 0 to {len(points) - 1} (first "
+                f"tets: {few(bad)}). Check that ids count from 0."
+            )
+        used = np.zeros(len(points), dtype=bool)
+        used[tets] = True
+        loose = np.flatnonzero(~used)
+        if loose.size:
+            raise MeshError(
+                f"{loose.size} vertices are in no tet (first ids: {few(loose)}), which "
+                "would make the system singular. Drop them: read_mesh(path, "
+                "drop_unused=True)."
+            )
+        self._check_volumes()
+        region = np.zeros(len(tets), int) if self.region is None else self.region
+        region = frozen(region, (len(tets),), np.int64, name="region", error=MeshError)
+        object.__setattr__(self, "region", region)
+        names = tuple(self.region_names) or tuple(str(i) for i in range(region.max() + 1))
+        if region.min() < 0 or region.max() >= len(names):
+            raise MeshError(
+                f"region runs from {region.min()} to {region.max()}, but there are "
+                f"{len(names)} region names. Number regions from 0, with a name for each."
+            )
+        object.__setattr__(self, "region_names", names)
+        sets = {}
+        for name, ids in self.sets.items():
+            try:
+                sets[str(name)] = vertex_ids(ids, len(points), f"set {name!r}")
+            except ValueError as why:
+                raise MeshError(str(why)) from None
+        object.__setattr__(self, "sets", MappingProxyType(sets))
+
+    def _check_volumes(self) -> None:
+        ends = self.points[self.tets[:, EDGES]]
+        longest = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
+        bad = np.flatnonzero(self.volumes <= 1e-12 * longest**3)
+        if bad.size:
+            inverted = int((self.volumes < 0).sum())
+            raise MeshError(
+                f"{bad.size} tets are inverted or have no volume ({inverted} inverted; "
+                f"first ids: {few(bad)}). Swap two corners of an inverted tet; mesh again "
+                "where flat."
+            )
+        if self.order == 2:
+            curved = np.flatnonzero(self._curved_tets)
+            J = jacobians(self.points, self.tets[curved])
+            bent = curved[J.min(axis=1, initial=np.inf) <= 0]
+            if bent.size:
+                raise MeshError(
+                    f"{bent.size} curved tets are folded, that is, inverted at a node "
+                    f"(first ids: {few(bent)}). Straighten them: "
+                    "mesh.with_order(1).with_order(2)."
+                )
+
+    @property
+    def order(self) -> int:
+        """1 for linear tets, 2 for quadratic."""
+        return 1 if self.tets.shape[1] == 4 else 2
+
+    @cached_property
+    def volumes(self) -> Array:
+        """Signed volumes (m,) [m^3] of the tets with straight edges."""
+        x = self.points[self.tets[:, :4]]
+        return np.einsum("ij,ij->i", np.cross(*_two(x)), x[:, 3] - x[:, 0]) / 6
+
+    @property
+    def volume(self) -> float:
+        """Volume [m^3] of the mesh; for order 2 with its curved surface."""
+        if self.order == 1:
+            return float(self.volumes.sum())
+        # det J of a quadratic tet is cubic: a rule of degree 3 on 5 points (Keast 1986)
+        a, b = 1 / 4, 1 / 6
+        at = np.array([[a, a, a], [b, b, b], [0.5, b, b], [b, 0.5, b], [b, b, 0.5]])
+        weights = np.array([-4 / 5, *[9 / 20] * 4]) / 6
+        return float((jacobians(self.points, self.tets, at) @ weights).sum())
+
+    @cached_property
+    def quality(self) -> Array:
+        """Gmsh's gamma of the corners, (m,): 1 regular, 0 flat, negative inverted."""
+        return gamma(self.points[self.tets[:, :4]])
+
+    @cached_property
+    def surface(self) -> Array:
+        """Boundary triangles (k, 3 | 6), outward; corners, then middles of 01, 12, 20."""
+        faces = self.tets[:, FACES].reshape(-1, 3)
+        first, count = unique_rows(np.sort(faces, axis=1))
+        outer = np.sort(first[count == 1])
+        if self.order == 1:
+            return faces[outer]
+        return np.hstack([faces, self.tets[:, FACE_MIDS].reshape(-1, 3)])[outer]
+
+    @cached_property
+    def _curved_tets(self) -> Array:
+        """Mask (m,) of the tets with a midside node off the middle of its edge."""
+        x = self.points[self.tets]
+        ends = x[:, EDGES]
+        off = ((x[:, 4:] - ends.mean(axis=2)) ** 2).sum(axis=2)
+        return (off > 1e-18 * ((ends[:, :, 1] - ends[:, :, 0]) ** 2).sum(axis=2)).any(
+            axis=1
+        )
+
+    @property
+    def curved(self) -> bool:
+        """Whether any midside node is off the middle of its edge."""
+        return self.order == 2 and bool(self._curved_tets.any())
+
+    @property
+    def pieces(self) -> Array:
+        """Label (n,) of the connected piece of each vertex, pieces counted from 0."""
+        a = np.repeat(self.tets[:, :1], self.tets.shape[1] - 1, axis=1).ravel()
+        b = self.tets[:, 1:].ravel()
+        graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(self.points),) * 2)
+        return connected_components(graph, directed=False)[1]
+
+    def with_order(self, order: int) -> Self:
+        """Return the mesh with tets of order 1 (corners) or 2 (straight edges added).
+
+        A mesh that has that order already is returned as it is, curved edges and all. Ids
+        of corner vertices stay when going up; going down, vertices are numbered anew in
+        their order. A set gains the middle of an edge of which it has both ends.
+        """
+        if order not in (1, 2):
+            raise MeshError(f"order is {order!r}; give 1 or 2.")
+        if order == self.order:
+            return self
+        if order == 1:
+            return self._compact(self.tets[:, :4])
+        ends = np.sort(self.tets[:, EDGES].reshape(-1, 2), axis=1)
+        key, where = np.unique(ends @ [len(self.points), 1], return_inverse=True)
+        edges = np.stack(np.divmod(key, len(self.points)), axis=1)
+        n = len(self.points)
+        sets = {}
+        for name, ids in self.sets.items():
+            inside = np.zeros(n, dtype=bool)
+            inside[ids] = True
+            sets[name] = np.append(ids, n + np.flatnonzero(inside[edges].all(axis=1)))
+        return replace(
+            self,
+            points=np.vstack([self.points, self.points[edges].mean(axis=1)]),
+            tets=np.hstack([self.tets, n + where.reshape(-1, 6)]),
+            sets=sets,
+        )
+
+    def _compact(self, tets: Array) -> Self:
+        points, tets, sets = compact(self.points, tets, self.sets)
+        return replace(self, points=points, tets=tets, sets=sets)
+
+    def with_sets(self, **sets: ArrayLike) -> Self:
+        """Return the mesh with these named vertex sets added or replaced."""
+        return replace(
+            self, sets={**self.sets, **{k: np.asarray(v) for k, v in sets.items()}}
+        )
+
+    def with_region(self, region: ArrayLike, names: tuple[str, ...] = ()) -> Self:
+        """Return the mesh with other regions, (m,) int, and their names."""
+        return replace(self, region=np.asarray(region), region_names=names)
+
+    def __repr__(self) -> str:
+        sets = ", ".join(f"{k} {len(v)}" for k, v in self.sets.items()) or "none"
+        return (
+            f"TetMesh(order {self.order}, {len(self.points):,} vertices, "
+            f"{len(self.tets):,} tets, {len(self.region_names)} regions, sets: {sets}; "
+            f"{self.volume:.3g} m^3, worst gamma {self.quality.min():.2f})"
+        )
+
+
+def compact(
+    points: Array, tets: Array, sets: Mapping[str, Array]
+) -> tuple[Array, Array, dict[str, Array]]:
+    """Return points, tets and sets without the vertices that are in no tet."""
+    used = np.zeros(len(points), dtype=bool)
+    used[tets] = True
+    new = np.cumsum(used) - 1
+    kept = {name: new[ids[used[ids]]] for name, ids in sets.items()}
+    return points[used], new[tets], kept
+
+
+def gamma(x: Array) -> Array:
+    """Return 3 inradius / circumradius of tets (..., 4, 3), signed as the volume.
+
+    This is gmsh's quality measure "gamma".
+    """
+    a, b, c, d = (x[..., i, :] for i in range(4))
+    norm = np.linalg.norm
+
+    def area(p: Array, q: Array, r: Array) -> Array:
+        return norm(np.cross(q - p, r - p), axis=-1) / 2
+
+    volume = (np.cross(b - a, c - a) * (d - a)).sum(-1) / 6
+    faces = area(a, b, c) + area(a, b, d) + area(a, c, d) + area(b, c, d)
+    p = norm(b - a, axis=-1) * norm(c - d, axis=-1)
+    q = norm(c - a, axis=-1) * norm(b - d, axis=-1)
+    r = norm(d - a, axis=-1) * norm(b - c, axis=-1)
+    # 24 V R = sqrt of this product, for the circumradius R
+    product = (p + q + r) * (-p + q + r) * (p - q + r) * (p + q - r)
+    root = np.sqrt(np.maximum(product, 0))
+    tiny = np.finfo(float).tiny
+    return np.sign(volume) * 216 * volume**2 / np.maximum(root * faces, tiny)
+
+
+def jacobians(points: Array, tets: Array, at: Array | None = None) -> Array:
+    """Return det J (m, k) of quadratic tets at reference points (k, 3), or the nodes."""
+    if at is None:
+        corners = np.vstack([np.zeros(3), np.eye(3)])
+        at = np.vstack([corners, corners[EDGES].mean(axis=1)])
+    shape = _gradients(at).transpose(0, 2, 1).reshape(-1, 10)  # (k 3, 10)
+    J = (shape @ points[tets].transpose(1, 0, 2).reshape(10, -1)).reshape(len(at), 3, -1, 3)
+    return (np.cross(J[:, 0], J[:, 1]) * J[:, 2]).sum(axis=-1).T
+
+
+def _gradients(at: Array) -> Array:
+    """Return reference gradients (k, 10, 3) of the quadratic shape functions."""
+    grad_l = np.vstack([-np.ones(3), np.eye(3)])
+    l = np.column_stack([1 - at.sum(axis=1), at])  # noqa: E741
+    corner = (4 * l - 1)[:, :, None] * grad_l
+    i, j = EDGES.T
+    middle = 4 * (l[:, i, None] * grad_l[j] + l[:, j, None] * grad_l[i])
+    return np.concatenate([corner, middle], axis=1)
+
+
+def _two(x: Array) -> tuple[Array, Array]:
+    return x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+
+
+def unique_rows(rows: Array) -> tuple[Array, Array]:
+    """Return first index and count of each distinct row of a non-negative int array."""
+    n = int(rows.max()) + 1
+    key = rows[:, 0].astype(np.int64)
+    for column in rows.T[1:]:
+        key = key * n + column
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    return first, count

@@ -1,0 +1,45 @@
+"""Files that are either whole or absent, and readers that trust nothing."""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from plantsim.errors import FileError
+
+
+def existing(path: str | os.PathLike[str]) -> Path:
+    """Return `path` as a Path to a readable, non-empty file, or raise FileError."""
+    path = Path(path)
+    if not path.exists():
+        raise FileError(f"{path}: no such file. Check the path.")
+    if not path.is_file():
+        raise FileError(f"{path}: not a file. Name a file.")
+    if path.stat().st_size == 0:
+        raise FileError(f"{path}: the file is empty. Write it again.")
+    return path
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path with the same suffix; move it onto `path` on success.
+
+    On any error nothing is left behind and an older file at `path` is untouched.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise FileError(f"{path}: its folder does not exist. Make {path.parent} first.")
+    handle, name = tempfile.mkstemp(
+        dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
+    )
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)  # mkstemp's 0600 is for secrets
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

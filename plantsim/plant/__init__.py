@@ -1,0 +1,1 @@
+"""What grows: skeletons, simple or by the Weber-Penn model."""

@@ -1,0 +1,1 @@
+"""What is meshed: swept limbs joined to one solid by gmsh."""

@@ -1,0 +1,231 @@
+"""Skeleton -> Solid: an immutable recipe of swept limbs, bends and joints checked."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.optimize import minimize_scalar
+
+from plantsim.arrays import Array, frozen
+from plantsim.errors import GeometryError
+from plantsim.plant.skeleton import Limb, Skeleton
+
+Tips = Literal["round", "flat"]
+JOINT = 0.97  # a child thicker than this share of its parent would touch it along a line
+BEND = 0.95  # largest radius / bend radius: beyond 1 a tube crosses itself
+
+
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """One swept limb: circles normal to a cubic spline, radius monotone between nodes.
+
+    Parameters u of the methods run from 0 (start) to 1 (tip), arrays of any length.
+    """
+
+    name: str
+    parent: int  # index of the parent tube, -1 for the trunk
+    points: Array  # (k, 3) nodes of the axis [m]; the first is on the parent's axis
+    radii: Array  # (k,) [m]
+    joint: float = 0.0  # u on the parent's axis where this tube starts
+    round_tip: bool = True  # else cut flat at the last point
+
+    def __post_init__(self) -> None:
+        points = frozen(
+            self.points, (None, 3), name=f"limb {self.name} points", error=GeometryError
+        )
+        radii = frozen(
+            self.radii, (len(points),), name=f"limb {self.name} radii", error=GeometryError
+        )
+        if len(points) < 2 or (radii <= 0).any():
+            raise GeometryError(
+                f"limb {self.name}: {len(points)} points, thinnest radius "
+                f"{radii.min():.2g} m; give at least two points and radii above 0."
+            )
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "radii", radii)
+
+    @cached_property
+    def _knots(self) -> Array:
+        s = np.r_[0, np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))]
+        return s / s[-1]
+
+    @cached_property
+    def _axis(self) -> CubicSpline:
+        return CubicSpline(self._knots, self.points, bc_type="natural")
+
+    @cached_property
+    def _radius(self) -> PchipInterpolator:
+        return PchipInterpolator(self._knots, self.radii)
+
+    def axis(self, u: Array | float) -> Array:
+        """Return points of the axis, (..., 3) [m]."""
+        return self._axis(u)
+
+    def tangent(self, u: Array | float) -> Array:
+        """Return unit tangents of the axis, (..., 3)."""
+        d = self._axis(u, 1)
+        return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+    def radius(self, u: Array | float) -> Array:
+        """Return radii (...) [m]."""
+        return self._radius(u)
+
+    def curvature(self, u: Array) -> Array:
+        """Return curvatures of the axis (...) [1/m]."""
+        d1, d2 = self._axis(u, 1), self._axis(u, 2)
+        return np.linalg.norm(np.cross(d1, d2), axis=-1) / np.linalg.norm(d1, axis=-1) ** 3
+
+    @cached_property
+    def stations(self) -> Array:
+        """Parameters u for sampling: at most half a radius apart, every node among them."""
+        u = self._knots
+        step = np.diff(u) * self.length / np.minimum(self.radii[1:], self.radii[:-1])
+        counts = np.clip(np.ceil(2 * step).astype(int), 4, 400)
+        parts = [
+            np.linspace(a, b, n, endpoint=False)
+            for a, b, n in zip(u[:-1], u[1:], counts, strict=True)
+        ]
+        return np.append(np.concatenate(parts), 1.0)
+
+    @cached_property
+    def length(self) -> float:
+        """Length [m] of the axis."""
+        u = np.unique(np.r_[self._knots, np.linspace(0, 1, 200)])
+        return float(np.linalg.norm(np.diff(self._axis(u), axis=0), axis=1).sum())
+
+    @cached_property
+    def volume(self) -> float:
+        """Volume [m^3] of the tube alone, pi times the integral of r^2 ds, tip included."""
+        u = self.stations
+        speed = np.linalg.norm(self._axis(u, 1), axis=1)
+        dome = 2 / 3 * np.pi * self.radii[-1] ** 3 if self.round_tip else 0.0
+        return float(np.pi * np.trapezoid(self.radius(u) ** 2 * speed, u) + dome)
+
+    def nearest(self, x: Array) -> tuple[float, float]:
+        """Return (u, distance [m]) of the axis point nearest to x."""
+        u = self.stations
+        i = int(np.linalg.norm(self.axis(u) - x, axis=1).argmin())
+        low, high = u[max(i - 1, 0)], u[min(i + 1, len(u) - 1)]
+        best: Any = minimize_scalar(
+            lambda v: float(((self.axis(v) - x) ** 2).sum()),
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-10},
+        )
+        return min(
+            ((float(v), float(np.linalg.norm(self.axis(v) - x))) for v in (best.x, u[i])),
+            key=lambda pair: pair[1],
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solid:
+    """The recipe of a plant's body: tubes, each buried in its parent at its start."""
+
+    tubes: tuple[Tube, ...]
+
+    @property
+    def volume(self) -> float:
+        """Volume [m^3] of all tubes without the stretches that are buried in a parent."""
+        return sum(t.volume for t in self.tubes) - sum(self.buried)
+
+    @cached_property
+    def emergence(self) -> tuple[float, ...]:
+        """For each tube, the u at which its axis leaves the parent (0 for the trunk)."""
+        out = []
+        for tube in self.tubes:
+            if tube.parent < 0:
+                out.append(0.0)
+                continue
+            parent = self.tubes[tube.parent]
+            u = tube.stations
+            near = parent.stations
+            d = np.linalg.norm(tube.axis(u)[:, None] - parent.axis(near)[None], axis=2)
+            j = d.argmin(axis=1)
+            outside = d[np.arange(len(u)), j] > parent.radius(near[j])
+            out.append(float(u[outside.argmax()]) if outside.any() else 1.0)
+        return tuple(out)
+
+    @property
+    def buried(self) -> tuple[float, ...]:
+        """For each tube, the volume [m^3] up to where its axis leaves the parent."""
+        out = []
+        for tube, end in zip(self.tubes, self.emergence, strict=True):
+            u = tube.stations[tube.stations <= end]
+            area = np.pi * tube.radius(u) ** 2 * np.linalg.norm(tube._axis(u, 1), axis=1)
+            out.append(float(np.trapezoid(area, u)))
+        return tuple(out)
+
+    def __repr__(self) -> str:
+        thin = min(t.radii.min() for t in self.tubes)
+        count = len(self.tubes)
+        return f"Solid({count} tubes, {self.volume:.3g} m^3, thinnest radius {thin:.2g} m)"
+
+
+def sweep(skeleton: Skeleton, *, tips: Tips = "round") -> Solid:
+    """Return the solid of a skeleton: a tapered tube along every limb.
+
+    `tips="round"` ends a limb in a dome about its last point; `"flat"` cuts it off there. A
+    limb that carries another at its tip is rounded in either case. A limb's start is moved
+    onto its parent's smooth axis.
+
+    Raises GeometryError, naming the limb, where a limb is thicker than its bend allows,
+    swallowed by its parent, too thick for it, or does not start on its parent's axis.
+    """
+    if tips not in ("round", "flat"):
+        raise GeometryError(f"tips is {tips!r}; give 'round' or 'flat'.")
+    tubes: list[Tube] = []
+    for limb in skeleton.limbs:
+        points, joint = limb.points, 0.0
+        if limb.parent >= 0:
+            parent = tubes[limb.parent]
+            joint, distance = parent.nearest(points[0])
+            _check_joint(limb, parent, joint, distance)
+            points = np.vstack([parent.axis(joint), points[1:]])
+        tube = Tube(limb.name, limb.parent, points, limb.radius, joint, tips == "round")
+        _check_bend(tube)
+        tubes.append(tube)
+    carries = {t.parent for t in tubes if t.joint > 1 - 1e-6}
+    if tips == "flat" and carries:
+        tubes = [
+            Tube(t.name, t.parent, t.points, t.radii, t.joint, i in carries)
+            for i, t in enumerate(tubes)
+        ]
+    solid = Solid(tuple(tubes))
+    for tube, end in zip(solid.tubes, solid.emergence, strict=True):
+        if end >= 1:
+            raise GeometryError(
+                f"limb {tube.name} never leaves its parent. Lengthen it, or drop it with "
+                "skeleton.pruned(min_radius=...)."
+            )
+    return solid
+
+
+def _check_bend(tube: Tube) -> None:
+    u = np.unique(np.r_[tube.stations, np.linspace(0, 1, 400)])
+    bend = tube.curvature(u) * tube.radius(u)
+    worst = int(bend.argmax())
+    if bend[worst] > BEND:
+        radius = float(tube.radius(u[worst]))
+        allowed = BEND * radius / bend[worst]
+        raise GeometryError(
+            f"limb {tube.name}: radius {radius:.3g} m where it bends with a radius of "
+            f"{radius / bend[worst]:.3g} m, so the tube would cross itself. "
+            f"Thin it below {allowed:.3g} m there, or give the bend more room."
+        )
+
+
+def _check_joint(limb: Limb, parent: Tube, joint: float, distance: float) -> None:
+    thick = float(parent.radius(joint))
+    if distance > 0.7 * thick:
+        raise GeometryError(
+            f"limb {limb.name} starts {distance:.3g} m off the axis of limb {parent.name} "
+            f"(radius {thick:.3g} m). Start it on its parent's axis."
+        )
+    if limb.base_radius > JOINT * thick:
+        raise GeometryError(
+            f"limb {limb.name} is {limb.base_radius:.3g} m thick (radius) where limb "
+            f"{parent.name} is {thick:.3g} m. Make it at most {JOINT * thick:.3g} m there."
+        )

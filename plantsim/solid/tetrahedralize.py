@@ -1,0 +1,182 @@
+"""Solid, or a geometry file of the user's own -> TetMesh."""
+
+import logging
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from plantsim.arrays import Array
+from plantsim.errors import FileError, MeshError
+from plantsim.mesh.tetmesh import TetMesh
+from plantsim.paths import existing
+from plantsim.solid import gmsh_model, occ
+from plantsim.solid.geo_script import GEOMETRY, check_opened
+from plantsim.solid.quality import curve, on_axis, repair
+from plantsim.solid.sweep import Solid
+
+SIZE = 0.8  # default edge length over local radius: order-2 beams within 1 % (benchmarks)
+WORST = 0.05  # smallest gamma that a mesh of ours may have
+log = logging.getLogger(__name__)
+# the ladder: (3D algorithm, turn of the circles' seams [rad]) of each attempt
+LADDER = (
+    (gmsh_model.HXT, 0.0),
+    (gmsh_model.DELAUNAY, 0.0),
+    (gmsh_model.HXT, 0.7),
+    (gmsh_model.DELAUNAY, 1.9),
+)
+
+
+def tetrahedralize(
+    geometry: Solid | str | os.PathLike[str],
+    size: float | None = None,
+    *,
+    order: int = 2,
+    kernel: Literal["occ"] = "occ",
+    trust: bool = False,
+) -> TetMesh:
+    """Return a tetrahedral mesh of a Solid, or of a .geo, .step, .stp, .brep or .iges file.
+
+    For a Solid: `size` is the edge length over the local radius (default 0.8). Order-2 tets
+    are curved onto the tubes. Regions are the limbs, tets sorted by them; the set "base" is
+    the vertices of the foot. `mesh.report` lists the attempts, what was repaired, and the
+    seconds.
+
+    For a file: `size` scales the sizes that the file sets (default 1); its physical volumes
+    become regions and its other physical groups vertex sets. A script that could run
+    programs or write files is refused unless `trust=True`.
+
+    Raises FileError for a file that is missing, foreign or refused, and MeshError when no
+    attempt gave one sound mesh (worst gamma 0.05, every limb present).
+    """
+    if order not in (1, 2):
+        raise MeshError(f"order is {order!r}; give 1 or 2.")
+    if kernel != "occ":
+        raise MeshError(f"kernel {kernel!r} is not known; give 'occ'.")
+    if size is not None and not 0.1 <= size <= 10:
+        raise MeshError(f"size is {size}; give a factor from 0.1 to 10.")
+    if not isinstance(geometry, Solid):
+        return _from_file(existing(geometry), 1.0 if size is None else size, order, trust)
+    attempts: list[dict[str, Any]] = []
+    for algorithm, turn in LADDER:
+        note: dict[str, Any] = {
+            "algorithm": "HXT" if algorithm == 10 else "Delaunay",
+            "turn": turn,
+        }
+        attempts.append(note)
+        try:
+            mesh = _attempt(
+                geometry, SIZE if size is None else size, order, algorithm, turn, note
+            )
+        except MeshError as why:
+            note["failure"] = str(why)
+            log.info("meshing attempt %d failed: %s", len(attempts), why)
+            continue
+        return replace(mesh, report={"kernel": kernel, "attempts": attempts})
+    raise MeshError(
+        f"no attempt of {len(LADDER)} gave a sound mesh of {len(geometry.tubes)} limbs; "
+        f"the last said: {attempts[-1]['failure']} Prune limbs that graze others, or try "
+        "another size."
+    )
+
+
+def _attempt(
+    solid: Solid, size: float, order: int, algorithm: int, turn: float, note: dict[str, Any]
+) -> TetMesh:
+    seconds: dict[str, float] = {}
+    note["seconds"] = seconds
+    clock = time.perf_counter()
+
+    def lap(step: str) -> None:
+        nonlocal clock
+        now = time.perf_counter()
+        seconds[step] = now - clock
+        clock = now
+
+    thin = min(float(t.radii.min()) for t in solid.tubes)
+    thick = max(float(t.radii.max()) for t in solid.tubes)
+    with gmsh_model.session(
+        Geometry__OCCParallel=1,
+        Mesh__MeshSizeFromCurvature=2 * np.pi / size,
+        Mesh__MeshSizeExtendFromBoundary=1,
+        Mesh__MeshSizeFromPoints=0,
+        Mesh__MeshSizeMin=0.3 * size * thin,
+        Mesh__MeshSizeMax=2 * size * thick,
+        Mesh__Algorithm=6,
+        Mesh__Optimize=1,
+    ):
+        joined = occ.build(solid, turn=turn)
+        lap("solid")
+        gmsh_model.generate(algorithm)
+        points, tets, *_ = gmsh_model.arrays(1)
+        lap("mesh")
+    points, note["slivers"], note["slivers_left"] = repair(points, tets)
+    lap("repair")
+    region = on_axis(solid, points[tets].mean(axis=1))[0]
+    by_limb = np.argsort(region, kind="stable")
+    mesh = TetMesh(
+        points,
+        tets[by_limb],
+        region[by_limb],
+        {"base": _foot(solid, points)},
+        tuple(t.name for t in solid.tubes),
+    )
+    lap("label")
+    if order == 2:
+        mesh = mesh.with_order(2)
+        points, note["flattened"] = curve(mesh.points, mesh.tets, solid)
+        mesh = replace(mesh, points=points)
+        lap("curve")
+    _check_whole(solid, mesh, joined)
+    return mesh
+
+
+def _foot(solid: Solid, points: Array) -> Array:
+    """Return the vertices on the flat foot of the trunk."""
+    trunk = solid.tubes[0]
+    off = (points - trunk.axis(0.0)) @ trunk.tangent(0.0)
+    near = np.linalg.norm(points - trunk.axis(0.0), axis=1) < 1.1 * trunk.radius(0.0)
+    return np.flatnonzero((np.abs(off) < 1e-6 * trunk.radius(0.0)) & near)
+
+
+def _check_whole(solid: Solid, mesh: TetMesh, joined: float) -> None:
+    worst = float(mesh.quality.min())
+    if worst < WORST:
+        raise MeshError(f"the worst tet has gamma {worst:.3f}, wanted {WORST}.")
+    if mesh.pieces.max():
+        raise MeshError(f"the mesh has {mesh.pieces.max() + 1} separate pieces.")
+    for i, tube in enumerate(solid.tubes):
+        corners = np.unique(mesh.tets[mesh.region == i])
+        end = np.linalg.norm(mesh.points[corners] - tube.axis(1.0), axis=1)
+        if not len(corners) or end.min() > 1.5 * tube.radius(1.0):
+            raise MeshError(f"limb {tube.name} is not in the mesh up to its tip.")
+    if mesh.order == 2 and abs(mesh.volume / joined - 1) > 0.03:
+        raise MeshError(
+            f"the mesh has {100 * (mesh.volume / joined - 1):+.1f} % of the solid's volume."
+        )
+
+
+def _from_file(path: Path, size: float, order: int, trust: bool) -> TetMesh:
+    suffix = path.suffix.lower()
+    if suffix not in (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs"):
+        raise FileError(
+            f"{path}: tetrahedralize takes .geo, .step, .brep and .iges files. Read a "
+            "mesh with read_mesh."
+        )
+    if not trust:
+        check_opened(path)
+    began = time.perf_counter()
+    try:
+        with gmsh_model.session():
+            gmsh_model.open_file(str(path))
+            gmsh_model.mesh_opened(size, order)
+            points, tets, region, names, sets = gmsh_model.arrays(order)
+    except MeshError as why:
+        raise MeshError(f"{path}: {why}") from None
+    report: dict[str, Any] = {"source": path.name, "seconds": time.perf_counter() - began}
+    if suffix in GEOMETRY:
+        report["note"] = "a CAD file names no groups: give fixed vertices by their ids"
+    return TetMesh(points, tets, region, sets, names, report)

@@ -1,0 +1,1 @@
+"""Linear algebra only: factor once, apply often."""
