@@ -66,7 +66,7 @@ def estimate(
     rows: Rows = "contact",
     solver: str = "CLARABEL",
 ) -> Estimate:
-    """Return the material that explains the observations; the model's own is the prior mean.
+    """Return the material that explains observations; the model's own is the prior mean.
 
     `parameters`: `per_limb()` (default) or `per_element()`. `method="force-balance"` is the
     paper's convex programme, by any solver that CVXPY has. `rows="contact"` takes the
