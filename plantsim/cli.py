@@ -12,6 +12,7 @@ from rich.table import Table
 import plantsim as ps
 from plantsim.doctor import examine, missing_packages
 from plantsim.errors import ModelError, PlantsimError
+from plantsim.paths import writable
 
 app = typer.Typer(
     help="Grow plants, make them solid, bend them, and learn their stiffness from touches.",
@@ -87,6 +88,8 @@ def mesh(
 
     Example: plantsim mesh plant.geo --order 2 --out plant.msh
     """
+    if out is not None:
+        writable(out, ".msh", ".vtu", ".npz")
     if source.suffix.lower() in (".msh", ".vtu", ".npz"):
         found = ps.read_mesh(source, drop_unused=drop_unused)
         found = found if order is None else found.with_order(order)
@@ -121,6 +124,10 @@ def push(
 
     Example: plantsim push plant.msh --moved 120,121,122 --by 0,0,-0.02 --out pushed.vtu
     """
+    # before the work, not after it
+    for path, suffix in ((out, ".vtu"), (picture, ".png")):
+        if path is not None:
+            writable(path, suffix)
     found = ps.read_mesh(source)
     model = ps.ElasticModel(
         found,

@@ -21,15 +21,26 @@ def existing(path: str | os.PathLike[str]) -> Path:
     return path
 
 
+def writable(path: str | os.PathLike[str], *suffixes: str) -> Path:
+    """Return `path` if it has one of the suffixes and its folder exists, or FileError."""
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise FileError(
+            f"{path}: {path.suffix or 'no'} suffix; this can be written as "
+            f"{', '.join(suffixes)}."
+        )
+    if not path.parent.is_dir():
+        raise FileError(f"{path}: its folder does not exist. Make {path.parent} first.")
+    return path
+
+
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path with the same suffix; move it onto `path` on success.
 
     On any error nothing is left behind and an older file at `path` is untouched.
     """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise FileError(f"{path}: its folder does not exist. Make {path.parent} first.")
+    path = writable(path, Path(path).suffix.lower())
     handle, name = tempfile.mkstemp(
         dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
     )

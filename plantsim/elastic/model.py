@@ -28,7 +28,7 @@ KEPT = 2  # factors that a model keeps: with no vertex moved, and for the latest
 class ElasticModel:
     """Linear elasticity of a mesh, held at `fixed`.
 
-    `fixed`: a set's name or vertex ids. `solver`: "auto" (direct up to 250,000 unknowns,
+    `fixed`: a set's name or vertex ids. `solver`: "auto" (direct up to 400,000 unknowns,
     else multigrid), "direct", "multigrid", or a solver value such as
     `ps.Multigrid(tolerance=1e-10)`.
 

@@ -13,7 +13,7 @@ from plantsim.arrays import Array, Random, frozen, generator
 from plantsim.elastic.loads import Move
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, FileError
-from plantsim.paths import existing, replacing
+from plantsim.paths import existing, replacing, writable
 
 _FIELDS = ("moved", "move", "force", "seen", "displacement")
 
@@ -106,9 +106,7 @@ def write_observations(
     observations: Iterable[Observation], path: str | os.PathLike[str]
 ) -> Path:
     """Write observations to an .npz file: arrays "0/moved", "0/move", ... in SI units."""
-    path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise FileError(f"{path}: observations are written to .npz. Change the suffix.")
+    path = writable(path, ".npz")
     arrays: dict[str, Any] = {"format": np.array("plantsim observations 1")}
     for i, seen in enumerate(observations):
         arrays |= {f"{i}/{name}": getattr(seen, name) for name in _FIELDS}

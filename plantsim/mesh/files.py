@@ -1,5 +1,7 @@
 """Meshes in and out of files: .msh (2.2, 4.1; text or binary), .vtu and .npz."""
 
+import contextlib
+import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +15,7 @@ from plantsim.arrays import Array, few
 from plantsim.errors import FileError, MeshError
 from plantsim.mesh.msh41 import write_msh41
 from plantsim.mesh.tetmesh import TetMesh, compact
-from plantsim.paths import existing, replacing
+from plantsim.paths import existing, replacing, writable
 
 FORMATS = (".msh", ".vtu", ".npz")
 Version = Literal["4.1", "2.2"]
@@ -67,10 +69,8 @@ def write_mesh(
     The file appears whole or not at all. Raises FileError for an unknown suffix or version,
     or for data that the format cannot hold.
     """
-    path = Path(path)
+    path = writable(path, *FORMATS)
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise FileError(f"{path}: {suffix or 'no'} suffix; write {', '.join(FORMATS)}.")
     if version not in ("4.1", "2.2"):
         raise FileError(f"{path}: .msh version {version!r}; there are '4.1' and '2.2'.")
     if suffix != ".vtu" and (point_data or cell_data):
@@ -182,8 +182,10 @@ def _tets(path: Path, raw: Any) -> tuple[Array, Array, list[int]]:
 
 
 def _meshio_read(path: Path, kind: str) -> Any:
+    silence = io.StringIO()  # meshio prints what it then raises
     try:
-        return meshio.read(path, file_format=kind)
+        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+            return meshio.read(path, file_format=kind)
     except (
         SystemExit,
         Exception,

@@ -36,7 +36,7 @@ def tapered(
     s = np.array([0.0, 1.0])
     axis = _unit(direction) * length
     return Skeleton.from_limbs(
-        [Polyline(s[:, None] * axis, base_radius + s * (tip_radius - base_radius))]
+        [Polyline(s[:, None] * axis, np.array([base_radius, tip_radius]))]
     )
 
 

@@ -53,7 +53,9 @@ class Tube:
 
     @cached_property
     def _axis(self) -> CubicSpline:
-        return CubicSpline(self._knots, self.points, bc_type="natural")
+        # natural ends would bend a limb's last segment more than the rest of an arc
+        ends = "not-a-knot" if len(self.points) > 3 else "natural"
+        return CubicSpline(self._knots, self.points, bc_type=ends)
 
     @cached_property
     def _radius(self) -> PchipInterpolator:

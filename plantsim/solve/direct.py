@@ -15,7 +15,7 @@ from plantsim.solve.stats import backward_error, norm_inf
 class Direct:
     """Sparse LU without pivoting, ordered by minimum degree on A + A^T.
 
-    A plant is nearly one-dimensional, so the fill stays small up to some 250,000 unknowns.
+    A plant is nearly one-dimensional, so the fill stays small up to some 400,000 unknowns.
     `tolerance`: the largest backward error that is accepted.
     """
 

@@ -37,9 +37,9 @@ class Solver(Protocol):
 
 
 Choice = Solver | Literal["auto", "direct", "multigrid"]
-# Above this many unknowns SuperLU's factor of a plant costs more than multigrid's set-up
-# and solve together (benchmarks/solvers.py)
-DIRECT_LIMIT = 250_000
+# Above this many unknowns SuperLU takes longer for a plant than multigrid: at 409,000 the
+# ratio of their times is 0.85 and rising (benchmarks/solvers.py)
+DIRECT_LIMIT = 400_000
 
 
 def choose(solver: Choice, unknowns: int) -> Solver:

@@ -11,7 +11,7 @@ from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.errors import DependencyError, ModelError
 from plantsim.mesh.tetmesh import TetMesh
-from plantsim.paths import replacing
+from plantsim.paths import replacing, writable
 from plantsim.view.probe import why_not_drawn
 
 SIZE = (1200, 1200)
@@ -142,7 +142,7 @@ def _draw(pv: Any, plotter: Any, points: Array, out: str | os.PathLike[str]) -> 
     # half of what is to be seen from top to bottom, with a margin
     plotter.camera.parallel_scale = 0.54 * float(max(span[2], span[1 - across]))
     plotter.renderer.reset_camera_clipping_range()
-    path = Path(out)
+    path = writable(out, ".png")
     with replacing(path) as temporary:
         plotter.screenshot(temporary)
     plotter.close()

@@ -1,0 +1,54 @@
+"""The benchmark scripts run, and their answers hold."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from plantsim.elastic.analytic import cantilever_tip
+
+BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    import sys
+
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("shape", ["straight", "tapered"])
+def test_order_two_cantilevers_are_within_one_percent_at_the_default_size(shape):
+    for row in load("cantilever").deflections(shape, 2, 0.8):
+        assert abs(row.error) < 0.01, row
+
+
+def test_cantilever_converges(capsys):
+    bench = load("cantilever")
+    rows = [r for s in (1.13, 0.8, 0.57) for r in bench.deflections("straight", 2, s)]
+    assert bench.rate([r for r in rows if r.load == "end load"]) > 3
+    coarse = [r for s in (0.8, 0.57, 0.4) for r in bench.deflections("straight", 1, s)]
+    assert bench.rate([r for r in coarse if r.load == "end load"]) == pytest.approx(
+        1.3, abs=0.4
+    )
+    bench.main({2: (0.8,)})
+    assert "| straight | end load | 2 | 0.8 |" in capsys.readouterr().out
+
+
+def test_analytic_tapered_cantilever_has_its_closed_form():
+    # end load without shear: 4 P L^3 / (3 pi E a^3 b), Gere and Goodno, problem 9.7
+    E, a, b, L = 1e9, 0.02, 0.01, 2.0
+    shear_free = cantilever_tip(L, a, b, E, 0.0, end_load=1.0) - 2 * L / (
+        E * (6 / 7) * np.pi * a * b
+    )
+    assert shear_free == pytest.approx(4 * L**3 / (3 * np.pi * E * a**3 * b), rel=1e-9)
+    # self-weight of a cone-free bar: w L^4 / (8 E I) and w L^2 / (2 kappa G A)
+    A, inertia = np.pi * a**2, np.pi * a**4 / 4
+    known = 5 * A * L**4 / (8 * E * inertia) + 5 * L**2 / (2 * (6 / 7) * E / 2)
+    assert cantilever_tip(L, a, a, E, 0.0, weight=5.0) == pytest.approx(known, rel=1e-9)

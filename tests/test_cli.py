@@ -1,0 +1,159 @@
+"""The command line as a user meets it: exit codes, one sentence, files."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import plantsim as ps
+from plantsim import doctor
+from plantsim.view import probe
+
+
+def run(*args, cwd=None):
+    return subprocess.run(
+        [sys.executable, "-m", "plantsim", *map(str, args)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=cwd,
+        check=False,
+    )
+
+
+def refused(*args, says):
+    done = run(*args)
+    assert done.returncode == 1, done
+    assert done.stdout == ""
+    assert done.stderr.startswith("plantsim: ")
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.fixture
+def beam(tmp_path):
+    mesh = ps.tetrahedralize(ps.sweep(ps.straight(0.2, 0.02), tips="flat"), order=1)
+    tip = np.flatnonzero(mesh.points[:, 2] > 0.2 - 1e-9)
+    return ps.write_mesh(mesh.with_sets(tip=tip), tmp_path / "beam.msh")
+
+
+def test_mesh_describes_and_converts(beam, tmp_path):
+    done = run("mesh", beam, "--order", 2, "--out", tmp_path / "beam.vtu")
+    assert done.returncode == 0, done.stderr
+    assert "order 2" in done.stdout
+    assert "set tip:" in done.stdout
+    assert ps.read_mesh(tmp_path / "beam.vtu").order == 2
+
+
+def test_push_tells_the_force_and_writes_the_state(beam, tmp_path):
+    done = run(
+        "push", beam, "--moved", "tip", "--by=0,0,-0.001", "--out", tmp_path / "a.vtu"
+    )
+    assert done.returncode == 0, done.stderr
+    force = float(done.stdout.split("force on the moved vertices in all:")[1].split()[2])
+    # a stocky bar in compression: E A d / L, within order 1's error and the facets'
+    assert force == pytest.approx(-6e9 * np.pi * 0.02**2 * 0.001 / 0.2, rel=0.2)
+    assert (tmp_path / "a.vtu").stat().st_size > 0
+
+
+def test_bad_input_is_one_sentence(beam, tmp_path):
+    refused("mesh", tmp_path / "none.msh", says="no such file")
+    script = tmp_path / "evil.msh"
+    script.write_text(f'SystemCall "touch {tmp_path / "ran"}";')
+    refused("mesh", script, says="nothing was run")
+    geo = tmp_path / "evil.geo"
+    geo.write_text(f'SystemCall "touch {tmp_path / "ran"}";')
+    refused("mesh", geo, says="SystemCall")
+    assert not (tmp_path / "ran").exists()
+    np.savez(tmp_path / "pickled.npz", points=np.array([{}], dtype=object))
+    refused("mesh", tmp_path / "pickled.npz", says="run code")
+    refused("push", beam, "--moved", "999999", says="out of range")
+    refused("push", beam, "--moved", "0", says="both fixed and moved")
+    refused("push", beam, "--moved", "leaf", says="no set 'leaf'")
+    refused("push", beam, "--moved", "tip", "--by=1,2", says="3 numbers")
+    refused("push", beam, "--moved", "tip", "--young=-1", says="young is -1")
+    refused("push", beam, "--moved", "tip", "--young=nan", says="NaN")
+    refused("push", beam, "--moved", "tip", "--poisson=0.5", says="poisson is 0.5")
+    refused("push", beam, "--moved", "tip", "--out", tmp_path / "a.xyz", says="suffix")
+    assert not list(tmp_path.glob("*.xyz"))
+
+
+def test_help_shows_examples():
+    for command in ("demo", "mesh", "push", "doctor"):
+        done = run(command, "--help")
+        assert done.returncode == 0
+        assert f"Example: plantsim {command}" in done.stdout
+    assert run("--version").stdout.strip() == ps.__version__
+    assert run("sing").returncode == 2
+
+
+def test_demo_makes_its_files(tmp_path):
+    done = run("demo", "--seed", 7, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    for word in ("grow", "52.5 s", "~10 s", "0.025 s", "Young of a limb"):
+        assert word in done.stdout
+    mesh = ps.read_mesh(tmp_path / "out" / "plant.msh")
+    assert mesh.order == 2
+    assert "base" in mesh.sets
+    assert len(ps.read_observations(tmp_path / "out" / "touches.npz")) == 5
+    assert (tmp_path / "out" / "pushed.vtu").exists()
+    drawn = probe.why_not_drawn() is None
+    for name in ("pushed.png", "stiffness.png"):
+        assert (tmp_path / "out" / name).exists() == drawn
+
+
+def test_doctor_finds_this_machine_well(monkeypatch, capsys):
+    assert run("doctor").returncode == 0
+    assert doctor.missing_packages() == []
+
+
+def test_doctor_names_what_is_missing(monkeypatch):
+    monkeypatch.setattr(doctor, "loads", lambda library: library != "libGLU.so.1")
+    assert doctor.missing_packages() == ["libglu1-mesa"]
+    sick = [check for check in doctor.examine() if check.mend and check.needed]
+    assert [check.name for check in sick] == ["libGLU.so.1"]
+    assert sick[0].mend == "apt-get install libglu1-mesa"
+
+
+def test_no_picture_where_none_can_be_drawn(monkeypatch, tmp_path, cube):
+    state = ps.ElasticModel(cube, ps.Material()).solve(ps.gravity())
+    probe.why_not_drawn.cache_clear()
+    monkeypatch.setattr(probe, "loads", lambda library: False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(ps.DependencyError, match="libegl1"):
+        ps.figure_deformation(state, tmp_path / "a.png")
+    probe.why_not_drawn.cache_clear()
+    monkeypatch.undo()
+    monkeypatch.setattr(probe, "_DRAW", "import os; os.kill(os.getpid(), 11)")
+    with pytest.raises(ps.DependencyError, match="trial picture failed .exit -11"):
+        ps.figure_deformation(state, tmp_path / "a.png")
+    probe.why_not_drawn.cache_clear()
+    assert not list(tmp_path.iterdir())
+
+
+def test_pictures(tmp_path, fork):
+    if probe.why_not_drawn():
+        pytest.skip(probe.why_not_drawn())
+    import matplotlib.image
+
+    ids = np.argsort(fork.points[:, 2])[-5:]
+    state = ps.ElasticModel(fork, ps.Material()).solve(ps.move(ids, (0.01, 0, -0.01)))
+    picture = matplotlib.image.imread(ps.figure_deformation(state, tmp_path / "a.png"))
+    red = (picture[:, :, 0] > 0.4) & (picture[:, :, 1] < 0.3)
+    grey = (np.ptp(picture[:, :, :3], axis=2) < 0.05) & (
+        np.abs(picture[:, :, 0] - 0.5) < 0.2
+    )
+    black = picture[:, :, :3].max(axis=2) < 0.2
+    assert red.sum() > 50
+    assert grey.sum() > 1000
+    assert black.sum() > 100
+    assert (picture[:3, :, :3] == 1).all()  # a white margin: nothing is cut off
+    field = np.arange(3.0)[fork.region]
+    picture = matplotlib.image.imread(ps.figure_material(fork, field, tmp_path / "b.png"))
+    assert (
+        len(np.unique((picture[::5, ::5, :3] * 8).astype(int).reshape(-1, 3), axis=0)) > 8
+    )
+    with pytest.raises(ps.ModelError, match="one value a tet"):
+        ps.figure_material(fork, field[1:], tmp_path / "b.png")

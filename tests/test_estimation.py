@@ -1,0 +1,170 @@
+import numpy as np
+import pytest
+
+import plantsim as ps
+
+
+@pytest.fixture(scope="module")
+def truth(fork):
+    young = np.array([5e9, 8e9, 3e9])[fork.region]
+    return ps.ElasticModel(fork, ps.Material(young, 0.3))
+
+
+@pytest.fixture(scope="module")
+def touches(truth):
+    mesh = truth.mesh
+    tips = [limb.tip for limb in ps.fork(0.3, 0.02).limbs[1:]]
+    near = [np.argsort(np.linalg.norm(mesh.points - tip, axis=1))[:5] for tip in tips]
+    return [ps.observe(truth, ps.move(ids, (0.002, 0.003, -0.005))) for ids in near]
+
+
+def test_force_matrix_is_linear_elasticity(truth):
+    u = np.random.default_rng(0).normal(size=truth.mesh.points.shape)
+    mu, lam, _ = truth.material.per_tet(len(truth.mesh.tets))
+    W = ps.force_matrix(truth, u)
+    f = truth.stiffness @ u.ravel()
+    assert np.linalg.norm(W @ np.concatenate([mu, lam]) - f) < 1e-12 * np.linalg.norm(f)
+    with pytest.raises(ps.EstimateError, match="shape"):
+        ps.force_matrix(truth, u[1:])
+
+
+def test_exact_touches_give_the_exact_limbs(truth, touches):
+    prior = truth.with_material(ps.Material(6e9, 0.35))
+    found = ps.estimate(prior, touches, parameters=ps.per_limb(), rows="balance")
+    assert found.young() == pytest.approx({"0": 5e9, "1": 8e9, "2": 3e9}, rel=1e-4)
+    assert found.material.poisson == pytest.approx(
+        np.full(len(truth.mesh.tets), 0.3), abs=1e-4
+    )
+    assert found.stats.status == "optimal"
+    assert found.stats.misfit < 1e-6
+    assert found.parameters["mu[1]"] == pytest.approx(8 / 6 * 1.35 / 1.3, rel=1e-4)
+    assert found.prior is prior.material
+
+
+def test_contact_rows_find_what_was_touched(truth, touches):
+    prior = truth.with_material(ps.Material(6e9, 0.3))
+    young = ps.estimate(prior, touches).young()
+    assert young["1"] == pytest.approx(8e9, rel=1e-3)
+    assert young["2"] == pytest.approx(3e9, rel=1e-3)
+    assert young["0"] == pytest.approx(6e9, rel=1e-3)  # never touched: the prior
+
+
+def test_per_element_fits_the_forces_within_bounds(truth, touches):
+    prior = truth.with_material(ps.Material(6e9, 0.3))
+    found = ps.estimate(prior, touches, parameters=ps.per_element())
+    force = np.sqrt(np.mean(np.concatenate([t.force for t in touches]) ** 2))
+    assert found.stats.misfit < 1e-3 * force
+    assert found.stats.parameters == 2 * len(truth.mesh.tets)
+    assert found.material.mu.min() > 0
+    assert found.material.lam.min() > 0
+
+
+def test_noise_in_force_pulls_towards_the_prior(truth, touches):
+    ids = touches[0].moved
+    prior = truth.with_material(ps.Material(6e9, 0.3))
+    errors = []
+    for noise in (0.01, 1e5):
+        seen = ps.observe(truth, ps.move(ids, (0.002, 0, 0)), force_noise=noise, rng=5)
+        assert seen.force_noise == noise
+        errors.append(abs(ps.estimate(prior, [seen]).young()["1"] / 6e9 - 1))
+    assert errors[0] > 0.2
+    assert errors[1] < 0.05
+
+
+def test_any_cvxpy_solver_by_name(truth, touches):
+    prior = truth.with_material(ps.Material(6e9, 0.3))
+    a = ps.estimate(prior, touches, solver="CLARABEL").young()["1"]
+    b = ps.estimate(prior, touches, solver="OSQP").young()["1"]
+    assert a == pytest.approx(b, rel=0.02)
+    with pytest.raises(ps.EstimateError, match="CLARABEL"):
+        ps.estimate(prior, touches, solver="NONE")
+
+
+def test_unseen_neighbours_are_named(truth, touches):
+    ids = touches[0].moved
+    seen = ps.observe(truth, ps.move(ids, (0.002, 0, 0)), seen=ids)
+    with pytest.raises(ps.EstimateError, match="Observe more vertices"):
+        ps.estimate(truth, [seen])
+
+
+def test_observation_simulates_noise(truth, touches):
+    ids = touches[0].moved
+    seen = ps.observe(truth, ps.move(ids, (0, 0, 0.001)), displacement_noise=1e-3, rng=1)
+    exact = ps.observe(truth, ps.move(ids, (0, 0, 0.001)))
+    off = seen.displacement - exact.displacement
+    assert off.std() == pytest.approx(1e-3, rel=0.05)
+    assert np.array_equal(seen.move, exact.move)
+    assert np.array_equal(seen.force, exact.force)
+
+
+def test_observations_round_trip(tmp_path, touches):
+    path = ps.write_observations(touches, tmp_path / "touches.npz")
+    back = ps.read_observations(path)
+    assert len(back) == len(touches)
+    for a, b in zip(touches, back, strict=True):
+        for name in ("moved", "move", "force", "seen", "displacement"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_foreign_observations_are_refused(tmp_path, touches):
+    class Bomb:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "ran"), "w"))
+
+    np.savez(tmp_path / "bomb.npz", format=np.array([Bomb()], dtype=object))
+    np.savez(tmp_path / "other.npz", points=np.zeros(3))
+    (tmp_path / "cut.npz").write_bytes(
+        ps.write_observations(touches, tmp_path / "a.npz").read_bytes()[:2000]
+    )
+    for name in ("bomb", "other", "cut"):
+        with pytest.raises(ps.FileError, match="not a file of observations"):
+            ps.read_observations(tmp_path / f"{name}.npz")
+    assert not (tmp_path / "ran").exists()
+    with pytest.raises(ps.FileError, match=r"\.npz"):
+        ps.write_observations(touches, tmp_path / "a.h5")
+
+
+GOOD = {
+    "moved": [1, 2],
+    "move": np.zeros((2, 3)),
+    "force": np.zeros((2, 3)),
+    "seen": [1],
+    "displacement": np.zeros((1, 3)),
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"moved": [1, 1]}, "repeated"),
+        ({"moved": [-1, 1]}, "negative"),
+        (
+            {"moved": [], "move": np.zeros((0, 3)), "force": np.zeros((0, 3))},
+            "at least one",
+        ),
+        ({"force": np.zeros((3, 3))}, "shape"),
+        ({"displacement": np.full((1, 3), np.nan)}, "NaN"),
+        ({"force_noise": -1}, "force_noise is -1"),
+    ],
+)
+def test_bad_observations_are_refused(change, says):
+    ps.Observation(**GOOD)
+    with pytest.raises(ps.EstimateError, match=says):
+        ps.Observation(**(GOOD | change))
+
+
+def test_bad_estimates_are_refused(truth, touches):
+    with pytest.raises(ps.EstimateError, match="at least one touch"):
+        ps.estimate(truth, [])
+    with pytest.raises(ps.EstimateError, match="method 'guess'"):
+        ps.estimate(truth, touches, method="guess")  # type: ignore[arg-type]
+    with pytest.raises(ps.EstimateError, match="rows is"):
+        ps.estimate(truth, touches, rows="all")  # type: ignore[arg-type]
+    with pytest.raises(ps.EstimateError, match="spread"):
+        ps.per_limb(spread=0)
+    auxetic = truth.with_material(ps.Material(6e9, -0.2))
+    with pytest.raises(ps.EstimateError, match="negative"):
+        ps.estimate(auxetic, touches)
+    far = ps.Observation(**(GOOD | {"moved": [1, 10**7]}))
+    with pytest.raises(ps.ModelError, match="out of range"):
+        ps.estimate(truth, [far])

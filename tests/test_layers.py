@@ -1,0 +1,87 @@
+"""A module imports only from rooms above it, and a heavy package has one home."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = """errors arrays paths plant mesh solid solve elastic estimation view doctor demo
+cli""".split()
+HOMES = {
+    "gmsh": {"solid/gmsh_model.py"},
+    "meshio": {"mesh/files.py"},
+    "pyamg": {"solve/multigrid.py"},
+    "skfem": {"elastic/stiffness.py"},
+    "cvxpy": {"estimation/force_balance.py"},
+    "pyvista": {"view/figures.py"},
+    "typer": {"cli.py"},
+}
+FILES = sorted((ROOT / "plantsim").rglob("*.py"))
+
+
+def imports(path):
+    """Yield the full names of the modules that a file imports at run time, at any depth."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    hints = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in hints:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield node.module or ""
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def room(name):
+    """Return the room of a module name such as plantsim.mesh.files, or None."""
+    parts = name.split(".")
+    return parts[1] if parts[0] == "plantsim" and len(parts) > 1 else None
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT / "plantsim")))
+def test_arrows_point_up(path):
+    inside = path.relative_to(ROOT / "plantsim")
+    if str(inside) in ("__init__.py", "__main__.py"):
+        return
+    own = inside.parts[0].removesuffix(".py")
+    assert own in ROOMS, f"{inside} is in no room of the house"
+    for name in imports(path):
+        other = room(name)
+        if other in ROOMS:
+            assert ROOMS.index(other) <= ROOMS.index(own), f"{inside} imports {name}"
+        package = name.split(".")[0]
+        if package in HOMES:
+            assert str(inside) in HOMES[package], f"{inside} imports {package}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT / "plantsim")))
+def test_files_stay_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 420
+
+
+def test_import_is_light():
+    code = (
+        "import sys, plantsim; heavy = set(sys.modules) & set("
+        "'gmsh meshio pyamg skfem cvxpy pyvista vtk typer matplotlib'.split()); "
+        "assert not heavy, heavy; assert 'weber_penn' in dir(plantsim)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_every_public_name_resolves():
+    code = (
+        "import plantsim as ps\n"
+        "for name in ps.__all__: getattr(ps, name)\n"
+        "assert callable(ps.estimate) and callable(ps.force) and callable(ps.move)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,248 @@
+import os
+import threading
+
+import numpy as np
+import pytest
+
+import plantsim as ps
+from plantsim.plant.skeleton import Polyline
+from plantsim.solid.geo_script import check_script
+
+
+def arc(radius, thickness, angle=np.pi / 2):
+    a = np.linspace(0, angle, 15)
+    points = radius * np.column_stack([1 - np.cos(a), 0 * a, np.sin(a)])
+    return ps.Skeleton.from_limbs([Polyline(points, np.full(15, thickness))])
+
+
+def test_tube_is_the_spline_through_its_nodes():
+    tube = ps.sweep(arc(1.0, 0.05), tips="flat").tubes[0]
+    assert tube.length == pytest.approx(np.pi / 2, rel=1e-4)
+    assert tube.volume == pytest.approx(np.pi * 0.05**2 * np.pi / 2, rel=1e-3)
+    u, distance = tube.nearest(np.array([1.0, 0.0, 1.0]) * (1 - 0.5**0.5) * [1, 0, 0])
+    assert 0 <= u <= 1
+    assert distance > 0
+
+
+def test_a_limb_thicker_than_its_bend_is_refused():
+    ps.sweep(arc(0.1, 0.08))
+    with pytest.raises(
+        ps.GeometryError, match=r"limb 0: radius 0\.11 m.*bends.*[Tt]hin it"
+    ):
+        ps.sweep(arc(0.1, 0.11))
+
+
+def test_joints_are_checked():
+    trunk = Polyline([[0, 0, 0], [0, 0, 1]], [0.05, 0.05])
+    for start, radius, says in (
+        ([0.2, 0, 0.5], 0.02, "starts 0.2 m off the axis of limb 0"),
+        ([0, 0, 0.5], 0.06, "at most"),
+    ):
+        limb = Polyline([start, [1, 0, 1]], [radius, radius], 0)
+        with pytest.raises(ps.GeometryError, match=says):
+            ps.sweep(ps.Skeleton.from_limbs([trunk, limb]))
+    stub = Polyline([[0, 0, 0.5], [0.03, 0, 0.5]], [0.02, 0.02], 0)
+    with pytest.raises(ps.GeometryError, match="limb 1 never leaves its parent"):
+        ps.sweep(ps.Skeleton.from_limbs([trunk, stub]))
+    with pytest.raises(ps.GeometryError, match="'round' or 'flat'"):
+        ps.sweep(ps.straight(), tips="sharp")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_straight_limb_mesh(order):
+    solid = ps.sweep(ps.straight(0.4, 0.02), tips="flat")
+    mesh = ps.tetrahedralize(solid, order=order)
+    assert mesh.order == order
+    assert mesh.points[:, 2].max() == pytest.approx(0.4, abs=1e-12)
+    assert mesh.points[:, 2].min() == pytest.approx(0.0, abs=1e-12)
+    assert (mesh.points[mesh.sets["base"], 2] == 0).all()
+    assert len(mesh.sets["base"]) == (mesh.points[:, 2] < 1e-9).sum()
+    if order == 2:
+        assert mesh.curved
+        assert mesh.volume == pytest.approx(solid.volume, rel=5e-3)
+
+
+def test_round_tip_reaches_beyond_its_last_point():
+    mesh = ps.tetrahedralize(ps.sweep(ps.straight(0.4, 0.02)), order=1)
+    assert 0.41 < mesh.points[:, 2].max() <= 0.42
+
+
+def test_fork_regions_are_its_limbs(fork):
+    skeleton = ps.fork(0.3, 0.02)
+    assert fork.region_names == ("0", "1", "2")
+    assert fork.pieces.max() == 0
+    centre = fork.points[fork.tets[:, :4]].mean(axis=1)
+    for limb in skeleton.limbs:
+        way = (limb.points[1] - limb.points[0]) / limb.length
+        s = (centre - limb.points[0]) @ way
+        off = np.linalg.norm(centre - limb.points[0] - s[:, None] * way, axis=1)
+        # well along the limb and well inside it, a tet is the limb's own
+        core = (off < 0.8 * limb.base_radius) & (s > 4 * 0.02) & (s < limb.length)
+        if limb.index == 0:
+            core = (off < 0.02) & (centre[:, 2] < 0.28)
+        assert core.sum() > 50
+        assert (fork.region[core] == limb.index).all()
+    assert (np.diff(fork.region) >= 0).all()
+
+
+def test_fork_volume_is_the_union(fork):
+    # three cylinders less what is buried; the joint's overlap is a few percent
+    assert fork.volume == pytest.approx(ps.sweep(ps.fork(0.3, 0.02)).volume, rel=0.03)
+
+
+def test_a_plant_meshes_soundly():
+    skeleton = ps.weber_penn(rng=3, levels=2).pruned(min_radius=0.03, max_limbs=10)
+    solid = ps.sweep(skeleton)
+    mesh = ps.tetrahedralize(solid, 1.2)
+    assert mesh.report is not None
+    assert mesh.quality.min() >= 0.05
+    assert mesh.pieces.max() == 0
+    assert set(np.unique(mesh.region)) == set(range(len(skeleton.limbs)))
+    assert mesh.volume == pytest.approx(solid.volume, rel=0.05)
+    assert mesh.report["attempts"][-1]["seconds"]["mesh"] > 0
+
+
+def test_same_solid_same_mesh():
+    a, b = (ps.tetrahedralize(ps.sweep(ps.fork()), 1.2) for _ in range(2))
+    assert a.points.tobytes() == b.points.tobytes()
+    assert a.tets.tobytes() == b.tets.tobytes()
+
+
+def test_bad_options():
+    solid = ps.sweep(ps.straight())
+    for kwargs in ({"order": 3}, {"kernel": "blender"}, {"size": 0.0}, {"size": np.nan}):
+        with pytest.raises(ps.MeshError):
+            ps.tetrahedralize(solid, **kwargs)
+
+
+def test_gmsh_is_left_as_it_was_found():
+    from plantsim.solid import gmsh_model
+
+    with gmsh_model.session(), pytest.raises(ps.MeshError, match="in use"):
+        ps.tetrahedralize(ps.sweep(ps.straight()))
+    assert not gmsh_model.gmsh.isInitialized()
+    seen = []
+
+    def work():
+        try:
+            ps.tetrahedralize(ps.sweep(ps.straight()))
+        except ps.MeshError as why:
+            seen.append(str(why))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert "main thread" in seen[0]
+    assert not gmsh_model.gmsh.isInitialized()
+
+
+GEO = """
+SetFactory("OpenCASCADE");
+L = 1; // length /* not a comment */
+Cylinder(1) = {0, 0, 0, 0, 0, L, 0.05};
+Physical Volume("stem", 7) = {1};
+Physical Surface("base", 8) = {3};
+Mesh.MeshSizeMax = 0.05;
+"""
+
+
+def test_geo_file(tmp_path):
+    path = tmp_path / "plant.geo"
+    path.write_text(GEO)
+    mesh = ps.tetrahedralize(path)
+    assert mesh.order == 2
+    assert mesh.region_names == ("stem",)
+    assert np.ptp(mesh.points[mesh.sets["base"], 2]) < 1e-9
+    assert mesh.volume == pytest.approx(np.pi * 0.05**2, rel=0.01)
+    coarse = ps.tetrahedralize(str(path), 2.0, order=1)
+    assert coarse.order == 1
+    assert len(coarse.tets) < len(mesh.tets)
+    ps.ElasticModel(mesh, ps.Material()).solve(ps.gravity())
+
+
+def test_step_file(tmp_path):
+    from plantsim.solid import gmsh_model
+
+    with gmsh_model.session() as gmsh:
+        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.write(str(tmp_path / "box.step"))
+    mesh = ps.tetrahedralize(tmp_path / "box.step", order=1)
+    assert mesh.volume in (pytest.approx(1.0), pytest.approx(1e-9))
+
+
+BAD_SCRIPTS = {
+    "shell": 'SystemCall "touch MARK";',
+    "old name": 'System "touch MARK";',
+    "background": 'NonBlockingSystemCall "touch MARK";',
+    "in a macro": 'Macro go\n SystemCall "touch MARK";\nReturn\nCall go;',
+    "after a fake comment": 'a = "//"; SystemCall "touch MARK";',
+    "after a quote": "a = '/*'; SystemCall 'touch MARK';",
+    "onelab": 'OnelabRun("x", "touch MARK");',
+    "write": 'Save "MARK";',
+    "print": 'Print "MARK";',
+    "printf": 'Printf("x") > "MARK";',
+    "append": 'Printf("x") >> "MARK";',
+    "name": 'S2N("SystemCall") "touch MARK";',
+    "exit": "Exit;",
+    "include": 'Include "evil.inc";',
+    "merge": 'Merge "evil.inc";',
+    "merge mesh": 'Merge "evil.msh";',
+    "computed": 'Include StrCat("evil", ".inc");',
+    "outside": 'Include "../evil.inc";',
+    "long string": 'a = "' + "x" * 1100 + '"; SystemCall "touch MARK";',
+    "open comment": "/* never closed",
+    "nul": 'a = "\0";',
+    "cr": '// x\rSystemCall "touch MARK";',
+}
+
+
+@pytest.mark.parametrize("name", BAD_SCRIPTS)
+def test_scripts_that_could_run_code_are_refused(tmp_path, name):
+    mark = tmp_path / "ran"
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for evil in (folder / "evil.inc", folder / "evil.msh", tmp_path / "evil.inc"):
+        evil.write_text(f'SystemCall "touch {mark}";\n')
+    path = folder / "plant.geo"
+    path.write_bytes((GEO + BAD_SCRIPTS[name].replace("MARK", str(mark)) + "\n").encode())
+    with pytest.raises(ps.FileError):
+        ps.tetrahedralize(path)
+    assert not mark.exists()
+
+
+def test_harmless_words_pass(tmp_path):
+    (tmp_path / "part.inc").write_text("r = 0.05;\n")
+    path = tmp_path / "plant.geo"
+    path.write_text(
+        GEO + '// SystemCall "x";\n/* Save */ a = "SystemCall"; Include "part.inc";\n'
+    )
+    check_script(path)
+
+
+def test_trusted_scripts_run(tmp_path):
+    path = tmp_path / "plant.geo"
+    path.write_text(GEO + f'SystemCall "touch {tmp_path / "ran"}";\n')
+    ps.tetrahedralize(path, order=1, trust=True)
+    assert (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("nonsense here;", "syntax|gmsh"), ("Point(1) = {0, 0, 0};", "no tetrahedra")],
+)
+def test_broken_geometry_is_one_sentence(tmp_path, text, says, capfd):
+    path = tmp_path / "plant.geo"
+    path.write_text(text)
+    with pytest.raises(ps.PlantsimError, match=says):
+        ps.tetrahedralize(path)
+    assert capfd.readouterr().out == ""
+    with pytest.raises(ps.FileError, match="no such file"):
+        ps.tetrahedralize(tmp_path / "none.geo")
+    with pytest.raises(ps.FileError, match="read_mesh"):
+        ps.tetrahedralize(os.fspath(_touch(tmp_path / "a.msh")))
+
+
+def _touch(path):
+    path.write_text("x")
+    return path

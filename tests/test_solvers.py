@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+import skfem
+
+import plantsim as ps
+from plantsim.solve.multigrid import rigid_modes
+from plantsim.solve.solver import choose
+
+SOLVERS = ["direct", "multigrid"]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("order", [1, 2])
+def test_solvers_agree_and_report(fork, solver, order):
+    mesh = fork.with_order(order)
+    ids = np.argsort(mesh.points[:, 2])[-5:]
+    load = ps.move(ids, (0.001, 0, -0.002)), ps.gravity()
+    known = ps.ElasticModel(mesh, ps.Material(), solver="direct").solve(*load)
+    state = ps.ElasticModel(mesh, ps.Material(), solver=solver).solve(*load)
+    error = np.linalg.norm(state.displacement - known.displacement)
+    assert error <= 1e-5 * np.linalg.norm(known.displacement)
+    assert state.stats.solver == solver
+    assert state.stats.backward_error <= 1e-12
+    assert state.stats.unknowns == 3 * (len(mesh.points) - len(mesh.sets["base"]) - 5)
+    assert (state.stats.iterations == 0) == (solver == "direct")
+    assert state.stats.factored
+    again = ps.ElasticModel(mesh, ps.Material(), solver=solver)
+    again.solve(*load)
+    assert not again.solve(*load).stats.factored
+
+
+def test_multigrid_iterations_do_not_grow_with_refinement(reference):
+    mesh = ps.read_mesh(reference / "test_tree_03.npz")
+    z = np.load(reference / "test_tree_03_solution.npz")
+    iterations = []
+    for refine in (0, 1):
+        m = skfem.MeshTet(
+            np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.tets.T)
+        ).refined(refine)
+        x = m.p[:, m.t.T]
+        inverted = np.linalg.det((x[:, :, 1:] - x[:, :, :1]).transpose(1, 2, 0)) < 0
+        tets = m.t.T.copy()
+        tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
+        fine = ps.TetMesh(m.p.T, tets)
+        fixed = np.flatnonzero(fine.points[:, 2] <= mesh.points[z["fixed"], 2].max())
+        model = ps.ElasticModel(
+            fine, ps.Material.lame(7, 6), fixed=fixed, solver="multigrid"
+        )
+        iterations.append(model.solve(ps.move(z["moved"], (0, 0, -0.15))).stats.iterations)
+    assert iterations[0] <= 45
+    assert iterations[1] <= 1.5 * iterations[0]
+
+
+def test_rigid_modes_are_rigid(fork):
+    B = rigid_modes(fork.points)
+    K = ps.ElasticModel(fork, ps.Material()).stiffness
+    assert np.abs(K @ B).max() <= 1e-10 * np.abs(K.data).max()
+    assert np.linalg.matrix_rank(B) == 6
+
+
+def test_auto_goes_by_size():
+    assert isinstance(choose("auto", 1000), ps.Direct)
+    assert isinstance(choose("auto", 10**6), ps.Multigrid)
+    assert choose(ps.Multigrid(tolerance=1e-8), 10).tolerance == 1e-8  # type: ignore[union-attr]
+
+
+def test_a_solve_that_falls_short_raises(fork):
+    model = ps.ElasticModel(fork, ps.Material(), solver=ps.Multigrid(max_iterations=3))
+    with pytest.raises(ps.SolverError, match="after 3 iterations.*solver='direct'"):
+        model.solve(ps.gravity())
+    model = ps.ElasticModel(fork, ps.Material(), solver=ps.Direct(tolerance=1e-30))
+    with pytest.raises(ps.SolverError, match="backward error"):
+        model.solve(ps.gravity())
