@@ -1,9 +1,9 @@
-"""Direct factor against multigrid, by the number of unknowns: the table behind solver="auto".
+"""Direct factor against multigrid by unknowns: the table behind solver="auto".
 
     python benchmarks/solvers.py [--sizes 1.4 1.0 0.8 0.65]
 
-The demo's plant, order 2, ten vertices moved: seconds to prepare a solver and to apply it once,
-the backward error reached, and how far the two answers are apart. The ratio is of the totals.
+The demo's plant, order 2, ten vertices moved: seconds to prepare a solver, to apply it
+once, the iterations, and how far the two answers are apart. The ratio is of the totals.
 """
 
 import argparse

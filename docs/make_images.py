@@ -22,4 +22,4 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         run(7, Path(folder), lambda stage: None)
         pair = [trimmed(Path(folder) / name) for name in ("pushed.png", "stiffness.png")]
-    matplotlib.image.imsave(HERE / "demo.png", np.hstack(pair)[::1])
+    matplotlib.image.imsave(HERE / "demo.png", np.hstack(pair))

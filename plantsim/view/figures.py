@@ -36,7 +36,7 @@ def figure_deformation(
     plotter.add_mesh(edges, color="black", line_width=1, opacity=0.35)
     plotter.add_mesh(deformed, color="#9a9a9a", smooth_shading=True, specular=0.2)
     if len(state.moved):
-        plotter.add_mesh(_arrows(pv, state, scale), color="#d62728")
+        plotter.add_mesh(_arrows(pv, state, scale), color="#e31a1c", lighting=False)
     return _draw(pv, plotter, np.vstack([rest.points, deformed.points]), out)
 
 
