@@ -64,7 +64,7 @@ def run(seed: int, out: Path, tell: Callable[[Stage], None]) -> list[Path]:
         clock = time.perf_counter()
 
     out.mkdir(parents=True, exist_ok=True)
-    skeleton = weber_penn(young_aspen(), rng=seed, levels=2).pruned(min_radius=0.0035)
+    skeleton = weber_penn(young_aspen(), rng=seed, levels=2).pruned(min_radius=0.0045)
     limbs = skeleton.limbs
     done("grow", f"{len(limbs)} limbs, {skeleton.height:.2f} m high", "0.007 s")
     mesh = tetrahedralize(sweep(skeleton))

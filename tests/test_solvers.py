@@ -71,3 +71,15 @@ def test_a_solve_that_falls_short_raises(fork):
     model = ps.ElasticModel(fork, ps.Material(), solver=ps.Direct(tolerance=1e-30))
     with pytest.raises(ps.SolverError, match="backward error"):
         model.solve(ps.gravity())
+
+
+def test_pardiso_agrees_where_it_is_installed(fork, monkeypatch):
+    pytest.importorskip("pypardiso")
+    from plantsim.solve import direct
+
+    known = ps.ElasticModel(fork, ps.Material(), solver="direct").solve(ps.gravity())
+    monkeypatch.setattr(direct, "PARDISO_FROM", 0)
+    state = ps.ElasticModel(fork, ps.Material(), solver="direct").solve(ps.gravity())
+    assert state.stats.backend == "MKL PARDISO"
+    error = np.linalg.norm(state.displacement - known.displacement)
+    assert error < 1e-6 * np.linalg.norm(known.displacement)

@@ -1,22 +1,31 @@
-"""Direct factors: SuperLU in symmetric mode."""
+"""Direct factors: SuperLU in symmetric mode, or PARDISO where it is installed and pays."""
 
+import importlib
+import importlib.util
+import weakref
 from dataclasses import dataclass, field
 from typing import Any
 
-from scipy.sparse import bsr_array, csc_array, csr_array
+import numpy as np
+from scipy.sparse import bsr_array, csc_array, csr_matrix, triu
 from scipy.sparse.linalg import splu
 
 from plantsim.arrays import Array
 from plantsim.errors import SolverError
 from plantsim.solve.stats import backward_error, norm_inf
 
+# From here on PARDISO (extra `fast`) factors a plant faster than SuperLU: the same at
+# 180,000 unknowns, two thirds of the time at 409,000
+PARDISO_FROM = 200_000
+
 
 @dataclass(frozen=True)
 class Direct:
-    """Sparse LU without pivoting, ordered by minimum degree on A + A^T.
+    """A sparse factor: SuperLU without pivoting, ordered by minimum degree on A + A^T.
 
     A plant is nearly one-dimensional, so the fill stays small up to some 400,000 unknowns.
-    `tolerance`: the largest backward error that is accepted.
+    Above 200,000 PARDISO is used instead where pypardiso is installed. `tolerance`: the
+    largest backward error that is accepted.
     """
 
     tolerance: float = 1e-10
@@ -24,6 +33,9 @@ class Direct:
     def factor(self, K: bsr_array, points: Array) -> "DirectFactor":
         """Return the factor of K; SolverError if K is singular."""
         csr: Any = K.tocsr()
+        large = csr.shape[0] >= PARDISO_FROM
+        if large and importlib.util.find_spec("pypardiso") is not None:
+            return DirectFactor(csr, _Pardiso(csr), self.tolerance, backend="MKL PARDISO")
         # K is symmetric, so its CSR arrays are its CSC arrays
         csc: Any = csc_array((csr.data, csr.indices, csr.indptr), shape=csr.shape)
         try:
@@ -43,14 +55,14 @@ class Direct:
 
 @dataclass(frozen=True, eq=False)
 class DirectFactor:
-    """A factor by SuperLU."""
+    """A factor ready for right-hand sides."""
 
-    K: csr_array
-    lu: Any
+    K: Any
+    lu: Any  # has solve(f)
     tolerance: float
-    size: float = field(init=False)
-    name: str = "direct"
     backend: str = "scipy SuperLU, MMD on A + A^T"
+    size: float = field(init=False)
+    name: str = field(init=False, default="direct")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
@@ -66,3 +78,25 @@ class DirectFactor:
                 "very different size."
             )
         return u, 0, error
+
+
+class _Pardiso:
+    """PARDISO's symmetric positive definite factor, behind SuperLU's `solve`."""
+
+    def __init__(self, K: Any) -> None:
+        pypardiso: Any = importlib.import_module("pypardiso")
+        self._upper = csr_matrix(triu(K, format="csr"))
+        self._solver = pypardiso.PyPardisoSolver(mtype=2)
+        weakref.finalize(self, self._solver.free_memory, everything=True)
+        try:
+            self._solver.factorize(self._upper)
+        except (
+            Exception
+        ) as why:  # PyPardisoError, whose class is not to be had before import
+            raise SolverError(
+                f"direct: PARDISO gave no factor of {K.shape[0]:,} unknowns ({why}). Hold "
+                "more vertices, or use solver='multigrid'."
+            ) from None
+
+    def solve(self, f: Array) -> Array:
+        return self._solver.solve(self._upper, np.ascontiguousarray(f)).reshape(f.shape)

@@ -25,6 +25,13 @@ def loads(library: str) -> bool:
     return True
 
 
+def choose_window() -> None:
+    """Without a display, tell VTK which window to open, so that it does not complain of X."""
+    if not os.environ.get("DISPLAY"):
+        kind = "vtkEGLRenderWindow" if loads("libEGL.so.1") else "vtkOSOpenGLRenderWindow"
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", kind)
+
+
 @cache
 def why_not_drawn() -> str | None:
     """Return None if off-screen pictures can be drawn, else the reason and what to do."""
@@ -37,6 +44,7 @@ def why_not_drawn() -> str | None:
             "neither libEGL nor libOSMesa is on this machine. Run: apt-get install libegl1 "
             "libgl1-mesa-dri"
         )
+    choose_window()
     try:
         child = subprocess.run(
             [sys.executable, "-c", _DRAW], capture_output=True, timeout=120, check=False
