@@ -26,7 +26,7 @@ def loads(library: str) -> bool:
 
 
 def choose_window() -> None:
-    """Without a display, tell VTK which window to open, so that it does not complain of X."""
+    """Without a display, tell VTK which window to open, so that it is silent on X."""
     if not os.environ.get("DISPLAY"):
         kind = "vtkEGLRenderWindow" if loads("libEGL.so.1") else "vtkOSOpenGLRenderWindow"
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", kind)
