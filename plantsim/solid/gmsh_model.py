@@ -24,6 +24,7 @@ except OSError as why:  # gmsh's wheel needs system libraries that it does not b
     ) from None
 
 gmsh: Any = _gmsh  # its stubs call arrays lists
+Ring = tuple[Array, float, Array, Array]  # centre, radius, axis, first direction
 HXT, DELAUNAY = 10, 1  # Mesh.Algorithm3D
 TETS = {1: 4, 2: 11}  # element types by order
 GMSH_TO_VTK = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]  # the last two middles are swapped
@@ -63,9 +64,58 @@ def session(**options: float) -> Iterator[Any]:
         gmsh.finalize()
 
 
-def ruled_loft(rings: Sequence[tuple[Array, float, Array, Array]]) -> tuple[int, int]:
-    """Add the solid through circles (centre, radius, axis, first direction)."""
+def fused_surface(
+    lofts: Sequence[list[Ring]], seams: Sequence[Ring], around: int
+) -> tuple[Array, Array]:
+    """Return points and triangles of lofts through circles, fused, open at the seams.
+
+    Every seam is a circle that ends a loft; it gets `around` points, the first on the
+    ring's first direction. Sizes follow the curvature: `around` points a circle.
+    """
+    radii = [r for rings in lofts for _, r, _, _ in rings]
+    edge = 2 * np.pi / around
+    with session(
+        Geometry__OCCParallel=1,
+        Mesh__MeshSizeFromCurvature=0,
+        Mesh__MeshSizeExtendFromBoundary=1,
+        Mesh__MeshSizeFromPoints=1,
+        Mesh__MeshSizeMin=0.3 * edge * min(radii),
+        Mesh__MeshSizeMax=1.5 * edge * max(radii),
+        Mesh__Algorithm=6,
+    ):
+        volumes = [_loft(rings) for rings in lofts]
+        if len(volumes) > 1:
+            gmsh.model.occ.fuse(volumes[:1], volumes[1:])
+        gmsh.model.occ.synchronize()
+        ends = _end_faces(seams, around)
+        _size_points(lofts, edge)
+        gmsh.model.mesh.generate(2)
+        tags, xyz, _ = gmsh.model.mesh.getNodes()
+        row = np.full(int(tags.max(initial=0)) + 1, -1)
+        row[tags.astype(np.int64)] = np.arange(len(tags))
+        parts = [
+            gmsh.model.mesh.getElementsByType(2, tag)[1]
+            for _, tag in gmsh.model.getEntities(2)
+            if tag not in ends
+        ]
+        faces = row[np.concatenate(parts).astype(np.int64)].reshape(-1, 3)
+        return xyz.reshape(-1, 3).copy(), faces
+
+
+def _loft(rings: list[Ring]) -> tuple[int, int]:
+    """Add the solid through circles, ruled between them; return its (3, tag).
+
+    Two equal circles on one axis give a true cylinder, whose booleans are twice as fast.
+    """
     occ = gmsh.model.occ
+    (c, r, z, x), (end, r1, z1, x1) = rings[0], rings[-1]
+    if len(rings) == 2 and r == r1 and (z == z1).all() and (x == x1).all():
+        way = end - c
+        tag = occ.addCylinder(*c, *way, r)
+        start = _first_direction(z)
+        turn = np.arctan2(np.cross(start, x) @ z, start @ x)
+        occ.rotate([(3, tag)], *c, *z, turn)
+        return 3, tag
     wires = [
         occ.addCurveLoop([occ.addCircle(c[0], c[1], c[2], r, zAxis=list(z), xAxis=list(x))])
         for c, r, z, x in rings
@@ -77,24 +127,80 @@ def ruled_loft(rings: Sequence[tuple[Array, float, Array, Array]]) -> tuple[int,
     return volumes[0]
 
 
-def fuse(volumes: Sequence[tuple[int, int]]) -> float:
-    """Join the volumes to one, make it the model, and return its volume [m^3]."""
-    occ = gmsh.model.occ
-    if len(volumes) > 1:
-        occ.fuse(list(volumes[:1]), list(volumes[1:]))
-    occ.synchronize()
-    left = gmsh.model.getEntities(3)
-    if len(left) != 1:
-        raise MeshError(
-            f"gmsh: joining {len(volumes)} limbs gave {len(left)} pieces, not one."
+def _first_direction(axis: Array) -> Array:
+    """Return where OCC puts the seam of a cylinder about a unit axis (its class gp_Ax2)."""
+    a, b, c = axis
+    size = np.abs(axis)
+    if size[1] <= size[0] and size[1] <= size[2]:
+        d = (-c, 0.0, a) if size[0] > size[2] else (c, 0.0, -a)
+    elif size[0] <= size[1] and size[0] <= size[2]:
+        d = (0.0, -c, b) if size[1] > size[2] else (0.0, c, -b)
+    else:
+        d = (-b, a, 0.0) if size[0] > size[1] else (b, -a, 0.0)
+    return np.array(d) / np.linalg.norm(d)
+
+
+def _size_points(lofts: Sequence[list[Ring]], edge: float) -> None:
+    """Give every vertex the edge length of the thinnest loft whose surface it is on."""
+    centre = np.array([(rings[i][0]) for rings in lofts for i in range(len(rings) - 1)])
+    way = (
+        np.array([rings[i + 1][0] for rings in lofts for i in range(len(rings) - 1)])
+        - centre
+    )
+    r0, r1 = (
+        np.array([rings[i + k][1] for rings in lofts for i in range(len(rings) - 1)])
+        for k in (0, 1)
+    )
+    for _, tag in gmsh.model.getEntities(0):
+        x = np.asarray(gmsh.model.getValue(0, tag, []))
+        t = np.clip(((x - centre) * way).sum(axis=1) / (way**2).sum(axis=1), 0, 1)
+        r = r0 + t * (r1 - r0)
+        on = np.abs(np.linalg.norm(x - centre - t[:, None] * way, axis=1) / r - 1) < 0.05
+        gmsh.model.mesh.setSize(
+            [(0, tag)], edge * float(r[on].min() if on.any() else r.min())
         )
-    return float(occ.getMass(3, left[0][1]))
 
 
-def generate(algorithm: int) -> None:
-    """Fill the model with tets of order 1."""
-    gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
-    gmsh.model.mesh.generate(3)
+def _end_faces(seams: Sequence[Ring], around: int) -> set[int]:
+    """Give the seams' circles their points; return the discs that close them."""
+    vertices = gmsh.model.getEntities(0)
+    at = np.array([gmsh.model.getValue(0, tag, []) for _, tag in vertices])
+    discs = set()
+    for centre, r, _, first in seams:
+        off = np.linalg.norm(at - centre - r * first, axis=1)
+        _, tag = vertices[int(off.argmin())]
+        curves = gmsh.model.getAdjacencies(0, tag)[0]
+        closed = [c for c in curves if len(set(gmsh.model.getAdjacencies(1, c)[1])) == 1]
+        if off.min() > 1e-6 * r or len(closed) != 1:
+            raise MeshError("gmsh: the end of a joint was lost in the boolean.")
+        gmsh.model.mesh.setTransfiniteCurve(int(closed[0]), around + 1)
+        faces = gmsh.model.getAdjacencies(1, closed[0])[0]
+        flat = [int(f) for f in faces if gmsh.model.getType(2, f) == "Plane"]
+        if len(flat) != 1:
+            raise MeshError("gmsh: the end of a joint is not a disc.")
+        discs.add(flat[0])
+    return discs
+
+
+def fill(points: Array, faces: Array, algorithm: int) -> tuple[Array, Array]:
+    """Return points and tets that fill a closed surface, whose points come first."""
+    with session(
+        Mesh__Algorithm3D=algorithm,
+        Mesh__Optimize=1,
+        Mesh__OptimizeThreshold=0.15 if algorithm == HXT else 0.3,
+        Mesh__MeshSizeExtendFromBoundary=1,
+        Mesh__MeshSizeFromPoints=0,
+        Mesh__MeshSizeFromCurvature=0,
+    ):
+        skin = gmsh.model.addDiscreteEntity(2)
+        gmsh.model.mesh.addNodes(2, skin, np.arange(1, len(points) + 1), points.ravel())
+        gmsh.model.mesh.addElementsByType(skin, 2, [], faces.ravel() + 1)
+        loop = gmsh.model.geo.addSurfaceLoop([skin])
+        gmsh.model.geo.addVolume([loop])
+        gmsh.model.geo.synchronize()
+        gmsh.model.mesh.generate(3)
+        filled, tets, *_ = arrays(1)
+        return filled, tets
 
 
 def open_file(path: str) -> None:

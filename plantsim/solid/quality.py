@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
-from plantsim.mesh.tetmesh import FACE_MIDS, FACES, gamma, jacobians, unique_rows
+from plantsim.mesh.tetmesh import FACE_MIDS, FACES, INNER, gamma, jacobians, unique_rows
 from plantsim.solid.sweep import Solid
 
 
@@ -87,15 +87,15 @@ def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
 def _unfold(target: Array, straight: Array, tets: Array) -> tuple[Array, int]:
     """Return target with middles drawn back where a tet would fold, and how many.
 
-    While a tet's smallest det J at its nodes is under 2 % of the mean, its middles go half
-    the way back to their straight places, and all the way after five times.
+    While a tet's smallest det J near its nodes is under 2 % of the mean, its middles go
+    half the way back to their straight places, and all the way after five times.
     """
     points = target.copy()
     about = np.flatnonzero((target != straight).any(axis=1)[tets].any(axis=1))
     tets = tets[about]
     turns = np.zeros(len(tets), dtype=int)
     while True:
-        J = jacobians(points, tets)
+        J = jacobians(points, tets, INNER)
         folds = (J.min(axis=1, initial=np.inf) < 0.02 * np.abs(J).mean(axis=1)) & (
             turns < 6
         )

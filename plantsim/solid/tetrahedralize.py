@@ -3,6 +3,7 @@
 import logging
 import os
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,15 +19,20 @@ from plantsim.solid.geo_script import GEOMETRY, check_opened
 from plantsim.solid.quality import curve, on_axis, repair
 from plantsim.solid.sweep import Solid
 
-SIZE = 0.8  # default edge length over local radius: order-2 beams within 1 % (benchmarks)
+AROUND = 7  # default number of points around a limb
 WORST = 0.05  # smallest gamma that a mesh of ours may have
+# Curved tets 1.5 edges long are some 1 % too stiff in bending (benchmarks/cantilever.py): a
+# radius smaller by a quarter of that gives the second moment of area back
+STIFFER = 0.0095
 log = logging.getLogger(__name__)
-# the ladder: (3D algorithm, turn of the circles' seams [rad]) of each attempt
+# the ladder: (3D algorithm, turn of the rings [rad], all in the kernel) of each attempt
 LADDER = (
-    (gmsh_model.HXT, 0.0),
-    (gmsh_model.DELAUNAY, 0.0),
-    (gmsh_model.HXT, 0.7),
-    (gmsh_model.DELAUNAY, 1.9),
+    (gmsh_model.HXT, 0.0, False),
+    (gmsh_model.DELAUNAY, 0.0, False),
+    (gmsh_model.HXT, 0.4, False),
+    (gmsh_model.HXT, 1.1, False),
+    (gmsh_model.HXT, 0.7, True),
+    (gmsh_model.DELAUNAY, 1.9, True),
 )
 
 
@@ -40,7 +46,7 @@ def tetrahedralize(
 ) -> TetMesh:
     """Return a tetrahedral mesh of a Solid, or of a .geo, .step, .stp, .brep or .iges file.
 
-    For a Solid: `size` is the edge length over the local radius (default 0.8). Order-2 tets
+    For a Solid: `size` is the edge length over the local radius (default 0.9). Order-2 tets
     are curved onto the tubes. Regions are the limbs, tets sorted by them; the set "base" is
     the vertices of the foot. `mesh.report` lists the attempts, what was repaired, and the
     seconds.
@@ -61,16 +67,27 @@ def tetrahedralize(
     if not isinstance(geometry, Solid):
         return _from_file(existing(geometry), 1.0 if size is None else size, order, trust)
     attempts: list[dict[str, Any]] = []
-    for algorithm, turn in LADDER:
+    around = AROUND if size is None else max(4, round(2 * np.pi / size))
+    for algorithm, turn, whole in LADDER:
         note: dict[str, Any] = {
-            "algorithm": "HXT" if algorithm == 10 else "Delaunay",
+            "algorithm": "HXT" if algorithm == gmsh_model.HXT else "Delaunay",
             "turn": turn,
+            "whole": whole,
         }
         attempts.append(note)
         try:
-            mesh = _attempt(
-                geometry, SIZE if size is None else size, order, algorithm, turn, note
+            points, faces = _timed(
+                note,
+                "surface",
+                occ.surface,
+                geometry,
+                around,
+                _grow(around, order),
+                turn,
+                whole,
             )
+            points, tets = _timed(note, "fill", gmsh_model.fill, points, faces, algorithm)
+            mesh = _finished(geometry, points, tets, order, note)
         except MeshError as why:
             note["failure"] = str(why)
             log.info("meshing attempt %d failed: %s", len(attempts), why)
@@ -83,39 +100,32 @@ def tetrahedralize(
     )
 
 
-def _attempt(
-    solid: Solid, size: float, order: int, algorithm: int, turn: float, note: dict[str, Any]
+def _grow(around: int, order: int) -> float:
+    """Return the factor on radii that gives a ring's polygon the section of the circle."""
+    if order == 1:  # the volume between two polygons turned against each other
+        half = np.pi / around
+        ends, middle = np.sin(2 * half) / 2, np.cos(half / 2) ** 2 * np.sin(half)
+        return float(np.sqrt(3 * np.pi / (around * (ends + 2 * middle))))
+    return 1 - STIFFER * (AROUND / around) ** 3 / 4
+
+
+def _timed(note: dict[str, Any], step: str, act: Callable[..., Any], *args: Any) -> Any:
+    """Call `act` and note its seconds; so also where it fails."""
+    began = time.perf_counter()
+    try:
+        return act(*args)
+    finally:
+        note.setdefault("seconds", {})[step] = time.perf_counter() - began
+
+
+def _finished(
+    solid: Solid, points: Array, tets: Array, order: int, note: dict[str, Any]
 ) -> TetMesh:
-    seconds: dict[str, float] = {}
-    note["seconds"] = seconds
-    clock = time.perf_counter()
-
-    def lap(step: str) -> None:
-        nonlocal clock
-        now = time.perf_counter()
-        seconds[step] = now - clock
-        clock = now
-
-    thin = min(float(t.radii.min()) for t in solid.tubes)
-    thick = max(float(t.radii.max()) for t in solid.tubes)
-    with gmsh_model.session(
-        Geometry__OCCParallel=1,
-        Mesh__MeshSizeFromCurvature=2 * np.pi / size,
-        Mesh__MeshSizeExtendFromBoundary=1,
-        Mesh__MeshSizeFromPoints=0,
-        Mesh__MeshSizeMin=0.3 * size * thin,
-        Mesh__MeshSizeMax=2 * size * thick,
-        Mesh__Algorithm=6,
-        Mesh__Optimize=1,
-    ):
-        joined = occ.build(solid, turn=turn)
-        lap("solid")
-        gmsh_model.generate(algorithm)
-        points, tets, *_ = gmsh_model.arrays(1)
-        lap("mesh")
-    points, note["slivers"], note["slivers_left"] = repair(points, tets)
-    lap("repair")
-    region = on_axis(solid, points[tets].mean(axis=1))[0]
+    """Return the mesh repaired, labelled, curved and checked."""
+    points, note["slivers"], note["slivers_left"] = _timed(
+        note, "repair", repair, points, tets
+    )
+    region = _timed(note, "label", on_axis, solid, points[tets].mean(axis=1))[0]
     by_limb = np.argsort(region, kind="stable")
     mesh = TetMesh(
         points,
@@ -124,13 +134,13 @@ def _attempt(
         {"base": _foot(solid, points)},
         tuple(t.name for t in solid.tubes),
     )
-    lap("label")
     if order == 2:
         mesh = mesh.with_order(2)
-        points, note["flattened"] = curve(mesh.points, mesh.tets, solid)
+        points, note["flattened"] = _timed(
+            note, "curve", curve, mesh.points, mesh.tets, solid
+        )
         mesh = replace(mesh, points=points)
-        lap("curve")
-    _check_whole(solid, mesh, joined)
+    _check_whole(solid, mesh)
     return mesh
 
 
@@ -142,7 +152,7 @@ def _foot(solid: Solid, points: Array) -> Array:
     return np.flatnonzero((np.abs(off) < 1e-6 * trunk.radius(0.0)) & near)
 
 
-def _check_whole(solid: Solid, mesh: TetMesh, joined: float) -> None:
+def _check_whole(solid: Solid, mesh: TetMesh) -> None:
     worst = float(mesh.quality.min())
     if worst < WORST:
         raise MeshError(f"the worst tet has gamma {worst:.3f}, wanted {WORST}.")
@@ -153,10 +163,9 @@ def _check_whole(solid: Solid, mesh: TetMesh, joined: float) -> None:
         end = np.linalg.norm(mesh.points[corners] - tube.axis(1.0), axis=1)
         if not len(corners) or end.min() > 1.5 * tube.radius(1.0):
             raise MeshError(f"limb {tube.name} is not in the mesh up to its tip.")
-    if mesh.order == 2 and abs(mesh.volume / joined - 1) > 0.05:
-        raise MeshError(
-            f"the mesh has {100 * (mesh.volume / joined - 1):+.1f} % of the solid's volume."
-        )
+    off = mesh.volume / solid.volume - 1
+    if abs(off) > 0.05:
+        raise MeshError(f"the mesh has {100 * off:+.1f} % of the solid's volume too much.")
 
 
 def _from_file(path: Path, size: float, order: int, trust: bool) -> TetMesh:
