@@ -5,17 +5,23 @@ from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
 from plantsim.mesh.tetmesh import FACE_MIDS, FACES, INNER, gamma, jacobians, unique_rows
-from plantsim.solid.sweep import Solid
+from plantsim.solid.sweep import Solid, Tube
 
 
 def repair(
-    points: Array, tets: Array, *, below: float = 0.10, target: float = 0.12, seed: int = 0
+    points: Array,
+    tets: Array,
+    held: Array,
+    *,
+    below: float = 0.10,
+    target: float = 0.12,
+    seed: int = 0,
 ) -> tuple[Array, int, int]:
     """Return corners with slivers mended, the number of slivers before, and after.
 
     Each corner of a tet whose gamma is under `below` is moved in turn to the best of some
     random steps, where that raises the worst gamma of the tets about it. Steps shrink from
-    0.35 of the local edge. `tets` (m, 4).
+    0.35 of the local edge. `tets` (m, 4); vertices in the mask `held` (n,) stay.
     """
     rng = np.random.default_rng(seed)
     points = points.copy()
@@ -28,7 +34,7 @@ def repair(
     for turn in range(25):
         amplitude = 0.35 * 0.85**turn
         for tet in bad:
-            for v in tets[tet]:
+            for v in tets[tet][~held[tets[tet]]]:
                 star = order[start[v] : start[v + 1]] // 4
                 _move(points, tets[star], v, amplitude, rng)
         bad = bad[gamma(points[tets[bad]]) < target]
@@ -70,7 +76,7 @@ def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
     first, count = unique_rows(np.sort(faces.reshape(-1, 3), axis=1))
     outer = np.sort(first[count == 1])
     faces, mids = faces.reshape(-1, 3)[outer], mids.reshape(-1, 3)[outer]
-    side = ~_on_flat_end(solid, points, faces)
+    side = ~flat_ends(solid, points)[faces].all(axis=1)
     ends = faces[side][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     middle, where = np.unique(mids[side], return_index=True)
     ends = ends[where]
@@ -107,16 +113,22 @@ def _unfold(target: Array, straight: Array, tets: Array) -> tuple[Array, int]:
         points[nodes] = straight[nodes] + keep * (points[nodes] - straight[nodes])
 
 
-def _on_flat_end(solid: Solid, points: Array, faces: Array) -> Array:
-    """Mask the triangles that lie in the foot or in a flat tip."""
-    flat = np.zeros(len(faces), dtype=bool)
-    x = points[faces]
-    for i, tube in enumerate(solid.tubes):
-        for u in ([0.0] if i == 0 else []) + ([] if tube.round_tip else [1.0]):
-            r = float(tube.radius(u))
-            off = np.abs((x - tube.axis(u)) @ tube.tangent(u)) < 1e-6 * r
-            near = np.linalg.norm(x - tube.axis(u), axis=2) < 1.1 * r
-            flat |= (off & near).all(axis=1)
+def on_disc(tube: Tube, u: float, points: Array) -> Array:
+    """Mask the points (..., 3) on the flat disc across the axis at u."""
+    r = float(tube.radius(u))
+    off = points - tube.axis(u)
+    # a ring may stand out by a tenth and more, to make up for its polygon
+    return (np.abs(off @ tube.tangent(u)) < 1e-6 * r) & (
+        np.linalg.norm(off, axis=-1) < 1.3 * r
+    )
+
+
+def flat_ends(solid: Solid, points: Array) -> Array:
+    """Mask the points (n, 3) on the foot and on flat tips."""
+    flat = on_disc(solid.tubes[0], 0.0, points)
+    for tube in solid.tubes:
+        if not tube.round_tip:
+            flat |= on_disc(tube, 1.0, points)
     return flat
 
 

@@ -16,7 +16,7 @@ from plantsim.mesh.tetmesh import TetMesh
 from plantsim.paths import existing
 from plantsim.solid import gmsh_model, occ
 from plantsim.solid.geo_script import GEOMETRY, check_opened
-from plantsim.solid.quality import curve, on_axis, repair
+from plantsim.solid.quality import curve, flat_ends, on_axis, on_disc, repair
 from plantsim.solid.sweep import Solid
 
 AROUND = 7  # default number of points around a limb
@@ -82,7 +82,7 @@ def tetrahedralize(
                 occ.surface,
                 geometry,
                 around,
-                _grow(around, order),
+                grow(around, order),
                 turn,
                 whole,
             )
@@ -100,7 +100,7 @@ def tetrahedralize(
     )
 
 
-def _grow(around: int, order: int) -> float:
+def grow(around: int, order: int) -> float:
     """Return the factor on radii that gives a ring's polygon the section of the circle."""
     if order == 1:  # the volume between two polygons turned against each other
         half = np.pi / around
@@ -123,7 +123,7 @@ def _finished(
 ) -> TetMesh:
     """Return the mesh repaired, labelled, curved and checked."""
     points, note["slivers"], note["slivers_left"] = _timed(
-        note, "repair", repair, points, tets
+        note, "repair", repair, points, tets, flat_ends(solid, points)
     )
     region = _timed(note, "label", on_axis, solid, points[tets].mean(axis=1))[0]
     by_limb = np.argsort(region, kind="stable")
@@ -146,10 +146,7 @@ def _finished(
 
 def _foot(solid: Solid, points: Array) -> Array:
     """Return the vertices on the flat foot of the trunk."""
-    trunk = solid.tubes[0]
-    off = (points - trunk.axis(0.0)) @ trunk.tangent(0.0)
-    near = np.linalg.norm(points - trunk.axis(0.0), axis=1) < 1.1 * trunk.radius(0.0)
-    return np.flatnonzero((np.abs(off) < 1e-6 * trunk.radius(0.0)) & near)
+    return np.flatnonzero(on_disc(solid.tubes[0], 0.0, points))
 
 
 def _check_whole(solid: Solid, mesh: TetMesh) -> None:
