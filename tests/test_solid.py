@@ -1,3 +1,4 @@
+import contextlib
 import os
 import threading
 
@@ -168,8 +169,11 @@ def test_step_file(tmp_path):
         gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
         gmsh.model.occ.synchronize()
         gmsh.write(str(tmp_path / "box.step"))
-    mesh = ps.tetrahedralize(tmp_path / "box.step", order=1)
-    assert mesh.volume in (pytest.approx(1.0), pytest.approx(1e-9))
+        gmsh.write(str(tmp_path / "box.brep"))
+    (tmp_path / "box.brep").rename(tmp_path / "BOX.BREP")
+    for name in ("box.step", "BOX.BREP"):
+        mesh = ps.tetrahedralize(tmp_path / name, order=1)
+        assert mesh.volume in (pytest.approx(1.0), pytest.approx(1e-9))
 
 
 BAD_SCRIPTS = {
@@ -194,6 +198,17 @@ BAD_SCRIPTS = {
     "long string": 'a = "' + "x" * 1100 + '"; SystemCall "touch MARK";',
     "open comment": "/* never closed",
     "nul": 'a = "\0";',
+    "field": 'Field[1] = ExternalProcess; Field[1].CommandLine = "touch MARK; cat";',
+    "skipped if": "If(0)\n E\" EndIf SystemCall 'touch MARK'; \"\nEndIf",
+    "skipped macro": "Macro f\n R' Return SystemCall \"touch MARK\"; '\nReturn",
+    "skipped comment": "If(0)\n E//'\n EndIf y='EndIf SystemCall \"touch MARK\"; ';",
+    "gz": 'Merge "b`touch MARK`.gz";',
+    "upper": 'Merge "evil.BREP";',
+    "%s": 'Printf("%s", 1);',
+    "%n": 'Printf("%n%n", 1);',
+    "wide": 'a = Sprintf("%99999f", 1);',
+    "computed format": 'b = "%g"; Printf(b, 1);',
+    "question": 'a = GetValue("?", 1);',
     "cr": '// x\rSystemCall "touch MARK";',
 }
 
@@ -203,13 +218,61 @@ def test_scripts_that_could_run_code_are_refused(tmp_path, name):
     mark = tmp_path / "ran"
     folder = tmp_path / "in"
     folder.mkdir()
-    for evil in (folder / "evil.inc", folder / "evil.msh", tmp_path / "evil.inc"):
+    names = ("in/evil.inc", "in/evil.msh", "evil.inc", "in/evil.BREP")
+    for evil in (tmp_path / name for name in names):
         evil.write_text(f'SystemCall "touch {mark}";\n')
     path = folder / "plant.geo"
     path.write_bytes((GEO + BAD_SCRIPTS[name].replace("MARK", str(mark)) + "\n").encode())
     with pytest.raises(ps.FileError):
         ps.tetrahedralize(path)
     assert not mark.exists()
+
+
+@pytest.mark.parametrize("suffix", [".Step", ".BREP", ".Iges", ".brep", ".step"])
+def test_scripts_in_the_guise_of_cad_are_not_run(tmp_path, suffix):
+    path = tmp_path / f"plant{suffix}"
+    path.write_text(GEO + f'SystemCall "touch {tmp_path / "ran"}";\n')
+    with pytest.raises(ps.PlantsimError):
+        ps.tetrahedralize(path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_foreign_file_cannot_write_hang_or_crash_us(tmp_path, monkeypatch):
+    from plantsim.solid import foreign
+
+    monkeypatch.setattr(
+        foreign, "check_opened", lambda path: None
+    )  # the second fence alone
+    path = tmp_path / "plant.geo"
+    path.write_text(GEO + f'Printf("x") > "{tmp_path / "written"}";\n')
+    with contextlib.suppress(ps.MeshError):
+        ps.tetrahedralize(path, order=1)
+    assert not (tmp_path / "written").exists() or not (tmp_path / "written").stat().st_size
+    path.write_text("Macro f\n Call f;\nReturn\nFor i In {1:1000000000}\n a = i;\nEndFor\n")
+    with pytest.raises(ps.MeshError, match="ended|crashed"):
+        ps.tetrahedralize(path, timeout=4)
+    path.write_text(GEO + 'Printf("%n%n%n%n", 1);\n')
+    with contextlib.suppress(ps.MeshError):
+        ps.tetrahedralize(path, order=1)
+
+
+def test_names_that_are_not_utf8_are_one_sentence(tmp_path):
+    path = tmp_path / "plant.geo"
+    path.write_bytes(GEO.replace("stem", "Bl\xfcte").encode("latin-1"))
+    try:
+        assert ps.tetrahedralize(path, order=1).region_names
+    except ps.MeshError as why:
+        assert "utf-8" in str(why)  # noqa: PT017
+
+
+def test_hexahedra_are_not_dropped_silently(tmp_path):
+    path = tmp_path / "plant.geo"
+    path.write_text(
+        'SetFactory("OpenCASCADE"); Box(1) = {0,0,0,1,1,1}; Transfinite Curve{:} = 3;'
+        "Transfinite Surface{:}; Recombine Surface{:}; Transfinite Volume{1};\n"
+    )
+    with pytest.raises(ps.MeshError, match="Hexahedron"):
+        ps.tetrahedralize(path)
 
 
 def test_harmless_words_pass(tmp_path):

@@ -1,9 +1,9 @@
 """Checking a gmsh script before gmsh sees it: scripts of others must not run code.
 
 gmsh executes shell commands found in a script, and takes any file without a known header
-for a script. The lexical rules followed here (comments, strings without escapes, keywords)
-are those of gmsh 4.15's scanner; what it treats unlike a plain reading (strings over 1,023
-characters, NUL bytes) is refused outright.
+for a script. The check follows the lexical rules of gmsh 4.15 (comments, strings without
+escapes, keywords) and refuses what gmsh treats unlike a plain reading. It is the first of
+two fences: what passes is opened in a child process that may write no file (`foreign.py`).
 """
 
 import re
@@ -12,26 +12,39 @@ from pathlib import Path
 from plantsim.errors import FileError
 from plantsim.paths import existing
 
-# commands that run programs, write files, end the process, or build names out of strings
+# commands that run programs, write files, ask the user, end the process, or make names of
+# strings
 FORBIDDEN = frozenset(
-    "SystemCall System NonBlockingSystemCall NonBlockingSystem OnelabRun OnelabAction "
-    "SendToServer Solver Plugin Print Save CreateDir Exit Abort StringToName S2N GetEnv "
-    "ListFromFile".split()
+    """SystemCall System NonBlockingSystemCall NonBlockingSystem OnelabRun OnelabAction
+    SendToServer Solver ExternalProcess CommandLine Plugin Print Save CreateDir Exit Abort
+    StringToName S2N GetEnv GetValue GetString GetStringValue ListFromFile""".split()
 )
+# of these, the ones that do harm wherever gmsh comes to read them
+DEADLY = (
+    b"SystemCall System OnelabRun OnelabAction SendToServer Solver ExternalProcess "
+    b"CommandLine Plugin StringToName S2N"
+).split()
 FILES = frozenset("Include Merge MergeFile MergeWithBoundingBox Open ShapeFromFile".split())
-GEOMETRY = (
+SCRIPTS = (".geo", ".geo_unrolled", ".inc", ".txt", ".dat")
+CAD = (
     ".step",
     ".stp",
     ".brep",
     ".iges",
     ".igs",
     ".stl",
-)  # gmsh goes by the suffix here
+)  # gmsh goes by the exact suffix here
+# gmsh passes over what an If, For or Macro leaves out by another scanner, which loses
+# characters
+SKIPPING = ("If", "For", "Macro", "Function", "Else", "ElseIf")
 _TOKEN = re.compile(
     r"""(?P<comment>//[^\n]*|/\*.*?\*/)|(?P<string>"[^"]*"|'[^']*')"""
     r"""|(?P<word>[A-Za-z_]\w*)|(?P<open>/\*|["'])|(?P<other>\s+|.)""",
     re.DOTALL,
 )
+# printf-style conversions that take the doubles gmsh passes; others crash it
+_CONVERSION = re.compile(r"%%|%[-+ 0#]?\d{0,2}(?:\.\d{0,2})?[gfeEG]")
+_NAME = re.compile(r"[\w. /-]+")
 LONGEST = 1000
 
 
@@ -42,10 +55,9 @@ def check_script(path: Path, folder: Path | None = None, depth: int = 0) -> None
     """
     folder = path.parent.resolve() if folder is None else folder
     if depth > 20:
-        raise FileError(
-            f"{path}: scripts include each other more than 20 deep. Untangle them."
-        )
-    text = path.read_bytes().decode("latin-1").replace("\r\n", "\n")
+        raise FileError(f"{path}: scripts include each other over 20 deep. Untangle them.")
+    raw = path.read_bytes().replace(b"\r\n", b"\n")
+    text = raw.decode("latin-1")
     if "\0" in text or "\r" in text:
         raise FileError(f"{path}: NUL or bare CR bytes, so no plain gmsh script. Clean it.")
     words: list[tuple[str, str]] = []
@@ -53,13 +65,25 @@ def check_script(path: Path, folder: Path | None = None, depth: int = 0) -> None
         kind, value = token.lastgroup or "", token.group()
         if kind == "open":
             raise FileError(f"{path}: a comment or string is never closed. Close it.")
-        if kind == "string" and (len(value) > LONGEST or "\n" in value):
-            raise FileError(
-                f"{path}: a string over {LONGEST} characters or lines. Shorten it."
-            )
+        if kind == "string":
+            _check_string(path, value)
         if kind != "comment" and not value.isspace():
             words.append((kind, value))
+    if any(kind == "word" and value in SKIPPING for kind, value in words):
+        for word in DEADLY:
+            if word in raw:
+                raise FileError(_refusal(path, f"{word.decode()} (if only in a comment)"))
     _check_words(path, folder, depth, words)
+
+
+def _check_string(path: Path, value: str) -> None:
+    if len(value) > LONGEST or "\n" in value:
+        raise FileError(f"{path}: a string over {LONGEST} characters or lines. Shorten it.")
+    if "%" in _CONVERSION.sub("", value):
+        raise FileError(
+            f"{path}: the string {value[:40]} has a conversion other than %g, %f or %e, "
+            "which can crash gmsh. Take it out."
+        )
 
 
 def _check_words(
@@ -75,43 +99,53 @@ def _check_words(
             printing = printing or value in ("Printf", "Error", "Warning")
             if value in FORBIDDEN:
                 raise FileError(_refusal(path, value))
+            if value in ("Printf", "Sprintf") and not _literal(words[i + 1 : i + 3]):
+                raise FileError(_refusal(path, f"{value} of a computed format"))
             if value in FILES:
                 _check_included(path, folder, depth, value, words[i + 1 : i + 3])
+
+
+def _literal(after: list[tuple[str, str]]) -> bool:
+    return len(after) == 2 and after[0][1] in "([" and after[1][0] == "string"
 
 
 def _check_included(
     path: Path, folder: Path, depth: int, word: str, after: list[tuple[str, str]]
 ) -> None:
-    kinds = [kind for kind, _ in after]
-    bracket = len(after) == 2 and after[0][1] in "(["
-    if kinds[:1] != ["string"] and not (bracket and kinds[1] == "string"):
+    if not _literal(after) and [kind for kind, _ in after][:1] != ["string"]:
         raise FileError(
             f"{path}: {word} of a computed file name; a plain string is needed to check "
             "it. Write the name out, or pass trust=True if you trust the script."
         )
-    name = (after[1] if bracket else after[0])[1][1:-1]
+    name = (after[1] if _literal(after) else after[0])[1][1:-1]
     target = (path.parent / name).resolve()
-    if not target.is_relative_to(folder):
+    if not _NAME.fullmatch(name) or not target.is_relative_to(folder):
         raise FileError(
-            f"{path}: {word} {name!r} is outside the script's folder. Put the file beside "
-            "the script, or pass trust=True if you trust it."
+            f"{path}: {word} {name!r} is outside the script's folder, or no plain name. "
+            "Put the file beside the script, or pass trust=True if you trust it."
+        )
+    if target.suffix not in (*SCRIPTS, *CAD, ".msh"):
+        raise FileError(
+            f"{path}: {word} {name!r}: {target.suffix or 'no'} suffix; only "
+            f"{', '.join((*SCRIPTS, '.msh', *CAD))} in small letters are read. Rename the "
+            "file."
         )
     check_opened(existing(target), folder, depth + 1)
 
 
 def check_opened(path: Path, folder: Path | None = None, depth: int = 0) -> None:
     """Raise FileError unless gmsh can open the file without running code."""
-    if path.suffix.lower() in GEOMETRY:
+    if path.suffix in CAD:
         return
     with path.open("rb") as f:
-        head = f.read(64).lstrip()
-    if path.suffix.lower() == ".msh" and head.startswith(b"$MeshFormat"):
+        head = f.read(64)
+    if path.suffix == ".msh" and head.startswith(b"$MeshFormat"):
         return
     check_script(path, folder, depth)
 
 
 def _refusal(path: Path, what: str) -> str:
     return (
-        f"{path}: the script uses {what}, which can run programs or write files; nothing "
-        "was run. Remove it, or pass trust=True if you trust the script."
+        f"{path}: the script uses {what}, which can run programs, write files or wait for "
+        "input; nothing was run. Remove it, or pass trust=True if you trust the script."
     )

@@ -55,7 +55,8 @@ def session(**options: float) -> Iterator[Any]:
     except (MeshError, KeyboardInterrupt):
         raise
     except Exception as why:
-        if type(why) is not Exception:  # gmsh raises bare Exception; others are ours to see
+        # gmsh raises bare Exception, and UnicodeDecodeError where names are not UTF-8
+        if type(why) is not Exception and not isinstance(why, UnicodeDecodeError):
             raise
         raise MeshError(
             f"gmsh: {' '.join(str(why).split()) or 'failed without a word'}"
@@ -239,6 +240,13 @@ def arrays(order: int) -> Arrays:
         _, nodes = gmsh.model.mesh.getElementsByType(TETS[order], entity)
         return row[nodes.astype(np.int64)].reshape(-1, 4 if order == 1 else 10)
 
+    others = [t for t in gmsh.model.mesh.getElementTypes(3) if t not in TETS.values()]
+    if others:
+        kind = gmsh.model.mesh.getElementProperties(others[0])[0]
+        raise MeshError(
+            f"gmsh: there are {kind} elements besides tetrahedra. Mesh without "
+            "recombination or extruded layers."
+        )
     parts: list[Array] = []
     names: list[str] = []
     if volumes:

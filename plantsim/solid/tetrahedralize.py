@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.errors import FileError, MeshError
+from plantsim.errors import MeshError
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.paths import existing
 from plantsim.solid import gmsh_model, occ
-from plantsim.solid.geo_script import GEOMETRY, check_opened
+from plantsim.solid.foreign import open_geometry
 from plantsim.solid.quality import curve, flat_ends, on_axis, on_disc, repair
 from plantsim.solid.sweep import Solid
 
@@ -43,6 +43,7 @@ def tetrahedralize(
     order: int = 2,
     kernel: Literal["occ"] = "occ",
     trust: bool = False,
+    timeout: float = 600.0,
 ) -> TetMesh:
     """Return a tetrahedral mesh of a Solid, or of a .geo, .step, .stp, .brep or .iges file.
 
@@ -65,7 +66,8 @@ def tetrahedralize(
     if size is not None and not 0.1 <= size <= 10:
         raise MeshError(f"size is {size}; give a factor from 0.1 to 10.")
     if not isinstance(geometry, Solid):
-        return _from_file(existing(geometry), 1.0 if size is None else size, order, trust)
+        path = existing(geometry)
+        return _from_file(path, 1.0 if size is None else size, order, trust, timeout)
     attempts: list[dict[str, Any]] = []
     around = AROUND if size is None else max(4, round(2 * np.pi / size))
     for algorithm, turn, whole in LADDER:
@@ -165,24 +167,13 @@ def _check_whole(solid: Solid, mesh: TetMesh) -> None:
         raise MeshError(f"the mesh has {100 * off:+.1f} % of the solid's volume too much.")
 
 
-def _from_file(path: Path, size: float, order: int, trust: bool) -> TetMesh:
-    suffix = path.suffix.lower()
-    if suffix not in (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs"):
-        raise FileError(
-            f"{path}: tetrahedralize takes .geo, .step, .brep and .iges files. Read a "
-            "mesh with read_mesh."
-        )
-    if not trust:
-        check_opened(path)
+def _from_file(path: Path, size: float, order: int, trust: bool, timeout: float) -> TetMesh:
     began = time.perf_counter()
+    points, tets, region, names, sets = open_geometry(
+        path, size, order, trust=trust, timeout=timeout
+    )
+    report: dict[str, Any] = {"source": path.name, "seconds": time.perf_counter() - began}
     try:
-        with gmsh_model.session():
-            gmsh_model.open_file(str(path))
-            gmsh_model.mesh_opened(size, order)
-            points, tets, region, names, sets = gmsh_model.arrays(order)
+        return TetMesh(points, tets, region, sets, names, report)
     except MeshError as why:
         raise MeshError(f"{path}: {why}") from None
-    report: dict[str, Any] = {"source": path.name, "seconds": time.perf_counter() - began}
-    if suffix in GEOMETRY:
-        report["note"] = "a CAD file names no groups: give fixed vertices by their ids"
-    return TetMesh(points, tets, region, sets, names, report)

@@ -1,0 +1,123 @@
+"""Geometry files of others, opened by gmsh in a child process.
+
+The child may write no file, has no input, and is ended after a time limit; a crash of gmsh
+or OCC there is one sentence here. It sends back an .npz of plain arrays through a pipe.
+"""
+
+import io
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plantsim.arrays import Array
+from plantsim.errors import FileError, MeshError
+from plantsim.solid.geo_script import CAD, check_opened
+
+OPENED = (".geo", ".geo_unrolled", *CAD[:-1])
+MARK = "plantsim-error:"
+
+
+def open_geometry(
+    path: Path, size: float, order: int, *, trust: bool, timeout: float
+) -> tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array]]:
+    """Return points, tets, region, region names and sets of a geometry file.
+
+    Raises FileError for a suffix that is not known or a script that is refused, and
+    MeshError when gmsh fails, crashes or takes longer than `timeout` seconds.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in OPENED:
+        raise FileError(
+            f"{path}: tetrahedralize takes {', '.join(OPENED)} files. Read a mesh with "
+            "read_mesh."
+        )
+    with tempfile.TemporaryDirectory(prefix="plantsim-") as folder:
+        opened = path.resolve()
+        if path.suffix != suffix:
+            # gmsh would take plant.STEP for a script: it knows the suffixes in small
+            # letters only
+            opened = Path(folder) / f"geometry{suffix}"
+            shutil.copyfile(path, opened)
+        if not trust:
+            check_opened(opened)
+        request = {"path": str(opened), "size": size, "order": order, "trust": trust}
+        data = _child(path, request, timeout)
+    names = tuple(str(n) for n in data["names"])
+    sets = {k.removeprefix("set:"): v for k, v in data.items() if k.startswith("set:")}
+    return data["points"], data["tets"], data.get("region"), names, sets
+
+
+def _child(path: Path, request: dict[str, Any], timeout: float) -> dict[str, Array]:
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "plantsim.solid.foreign", json.dumps(request)],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=timeout,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise MeshError(
+            f"{path}: gmsh was not done after {timeout:.0f} s and was ended. Simplify the "
+            "geometry, or give more: timeout=..."
+        ) from None
+    if done.returncode or not done.stdout:
+        said = done.stderr.decode(errors="replace")
+        if MARK in said:
+            raise MeshError(f"{path}: {said.rpartition(MARK)[2].strip()}")
+        raise MeshError(
+            f"{path}: gmsh crashed on it (exit {done.returncode}). Check the geometry in "
+            "gmsh itself; if it opens there, report this."
+        )
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as z:
+        return {name: z[name] for name in z.files}
+
+
+def _work(request: dict[str, Any]) -> bytes:
+    """Open, mesh and pack; in the child."""
+    from plantsim.solid import gmsh_model  # noqa: PLC0415  gmsh is loaded in the child alone
+
+    if not request["trust"]:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with gmsh_model.session(General__NoPopup=1):
+        gmsh_model.open_file(request["path"])
+        gmsh_model.mesh_opened(request["size"], request["order"])
+        points, tets, region, names, sets = gmsh_model.arrays(request["order"])
+    out: dict[str, Any] = {
+        "points": points,
+        "tets": tets,
+        "names": np.array(names, dtype=str),
+    }
+    if region is not None:
+        out["region"] = region
+    out |= {f"set:{name}": ids for name, ids in sets.items()}
+    packed = io.BytesIO()
+    np.savez(packed, **out)
+    return packed.getvalue()
+
+
+def main() -> None:
+    """Serve one request: arrays to standard output, the kernels' chatter to nowhere."""
+    result = os.fdopen(os.dup(1), "wb")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        packed = _work(json.loads(sys.argv[1]))
+    except Exception as why:  # whatever it is, the parent tells it in a sentence
+        sys.stderr.write(f"\n{MARK}{' '.join(str(why).split())}\n")
+        sys.exit(3)
+    with result:
+        result.write(packed)
+
+
+if __name__ == "__main__":
+    main()
