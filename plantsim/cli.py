@@ -91,6 +91,8 @@ def mesh(
     if out is not None:
         writable(out, ".msh", ".vtu", ".npz")
     if source.suffix.lower() in (".msh", ".vtu", ".npz"):
+        if size is not None:
+            raise ModelError(f"--size {size}: {source} is a mesh already. Leave it out.")
         found = ps.read_mesh(source, drop_unused=drop_unused)
         found = found if order is None else found.with_order(order)
     else:
@@ -132,10 +134,10 @@ def push(
     model = ps.ElasticModel(
         found,
         ps.Material(young, poisson),
-        fixed=_ids(fixed, "fixed"),
+        fixed=_ids(fixed, "fixed", found),
         solver=solver,  # type: ignore[arg-type]
     )
-    state = model.solve(ps.move(_ids(moved, "moved"), _numbers(by, "by", 3)))
+    state = model.solve(ps.move(_ids(moved, "moved", found), _numbers(by, "by", 3)))
     typer.echo(repr(state))
     total = state.force[state.moved].sum(axis=0)
     typer.echo(
@@ -173,9 +175,9 @@ def doctor(
         raise typer.Exit(1)
 
 
-def _ids(text: str, what: str) -> str | list[int]:
+def _ids(text: str, what: str, mesh: ps.TetMesh) -> str | list[int]:
     """Return a set's name, or the vertex ids in a list with commas."""
-    if not any(c.isdigit() for c in text) or any(c.isalpha() for c in text):
+    if text in mesh.sets or any(c.isalpha() for c in text):
         return text
     try:
         return [int(part) for part in text.split(",")]
@@ -201,4 +203,7 @@ def main() -> None:
         app()
     except PlantsimError as why:
         typer.echo(f"plantsim: {why}", err=True)
+        sys.exit(1)
+    except OSError as why:  # no room, no permission, a folder in a file's place
+        typer.echo(f"plantsim: {why.filename or 'file'}: {why.strerror or why}.", err=True)
         sys.exit(1)

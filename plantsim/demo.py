@@ -78,7 +78,11 @@ def run(seed: int, out: Path, tell: Callable[[Stage], None]) -> list[Path]:
     done("stiffness", f"K of {unknowns:,} unknowns", "~10 s")
     ids = touch_points(mesh, rng)
     state = truth.solve(move(ids, (0, 0, -PUSH)))
-    done("push", f"{PUSHED} vertices down {100 * PUSH:.0f} cm, {state.stats.solver}")
+    turn = np.degrees(state.max_rotation)
+    done(
+        "push",
+        f"{PUSHED} vertices down {100 * PUSH:.0f} cm; linear theory, at {turn:.0f} degrees",
+    )
     contact = truth.contact(ids)
     done("prepare", f"contact at {PUSHED} vertices, for any motion of theirs")
     seconds = []

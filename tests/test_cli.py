@@ -78,6 +78,12 @@ def test_bad_input_is_one_sentence(beam, tmp_path):
     refused("push", beam, "--moved", "tip", "--poisson=0.5", says="poisson is 0.5")
     refused("push", beam, "--moved", "tip", "--out", tmp_path / "a.xyz", says="suffix")
     assert not list(tmp_path.glob("*.xyz"))
+    done = run("push", beam, "--moved", "tip", "--out", "/proc/a.vtu")
+    assert done.returncode == 1
+    assert done.stderr.startswith("plantsim: /proc")
+    assert done.stderr.count("\n") == 1
+    refused("demo", "--out", beam, says="beam.msh")
+    refused("mesh", beam, "--size", "0.5", says="mesh already")
 
 
 def test_help_shows_examples():

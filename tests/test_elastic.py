@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.sparse.linalg import norm
@@ -252,3 +254,40 @@ def test_a_piece_held_in_line_is_refused(cube):
     assert len(line) == 3
     with pytest.raises(ps.ModelError, match="not in line"):
         ps.ElasticModel(fine, ps.Material(), fixed=line)
+
+
+@pytest.mark.parametrize("shared", [1, 2])
+def test_bodies_that_share_an_edge_or_a_vertex_are_a_hinge(cube, shared):
+    shift = np.array([1, 1, 0]) if shared == 2 else np.array([1, 1, 1])
+    points = np.vstack([cube.points, cube.points + shift])
+    tets = np.vstack([cube.tets, cube.tets + 8])
+    points, where = np.unique(points, axis=0, return_inverse=True)
+    hinged = ps.TetMesh(points, where.ravel()[tets])
+    assert len(points) == 16 - shared
+    assert hinged.pieces.max() == 0
+    low = np.flatnonzero((points[:, 2] == 0) & (points[:, :2].max(axis=1) <= 1))
+    with pytest.raises(ps.ModelError, match=f"held by {shared} vertices"):
+        ps.ElasticModel(hinged, ps.Material(), fixed=low)
+    both = np.flatnonzero((points[:, 2] == 0) | (points[:, 2] == 2))
+    if shared == 1:
+        ps.ElasticModel(hinged, ps.Material(), fixed=both).solve(ps.gravity())
+
+
+def test_replacing_the_mesh_makes_new_blocks(cube):
+    model = ps.ElasticModel(cube, ps.Material())
+    model.stiffness  # noqa: B018
+    larger = ps.TetMesh(2 * cube.points, cube.tets, sets=cube.sets)
+    changed = dataclasses.replace(model, mesh=larger)
+    fresh = ps.ElasticModel(larger, ps.Material())
+    assert abs(changed.stiffness - fresh.stiffness).max() == 0
+    with pytest.raises(ps.ModelError, match="no vertex is fixed"):
+        dataclasses.replace(model, fixed=[])
+
+
+@pytest.mark.parametrize("solver", ["direct", "multigrid"])
+def test_everything_moved(cube, solver):
+    state = ps.ElasticModel(cube, ps.Material(), solver=solver).solve(
+        ps.move([4, 5, 6, 7], (0, 0, 0.01))
+    )
+    assert state.stats.unknowns == 0
+    assert state.force[4:, 2].sum() > 0

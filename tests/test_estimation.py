@@ -145,6 +145,7 @@ GOOD = {
         ({"force": np.zeros((3, 3))}, "shape"),
         ({"displacement": np.full((1, 3), np.nan)}, "NaN"),
         ({"force_noise": -1}, "force_noise is -1"),
+        ({"force_noise": None}, "one number"),
     ],
 )
 def test_bad_observations_are_refused(change, says):
@@ -165,6 +166,17 @@ def test_bad_estimates_are_refused(truth, touches):
     auxetic = truth.with_material(ps.Material(6e9, -0.2))
     with pytest.raises(ps.EstimateError, match="negative"):
         ps.estimate(auxetic, touches)
+    held = ps.Observation(
+        **(GOOD | {"moved": [truth.fixed[0], 200], "force": np.ones((2, 3))})
+    )
+    with pytest.raises(ps.EstimateError, match="holds fixed"):
+        ps.estimate(truth, held)
+    with pytest.raises(ps.EstimateError, match="no force"):
+        ps.estimate(truth, ps.Observation(**(GOOD | {"moved": [200, 201]})))
+    with pytest.raises(ps.EstimateError, match="rng"):
+        ps.observe(truth, ps.move([200], (0, 0, 0.001)), force_noise=1.0)
+    with pytest.raises(ps.ModelError, match="out of range"):
+        ps.observe(truth, ps.move([200], (0, 0, 0.001)), seen=[10**6])
     far = ps.Observation(**(GOOD | {"moved": [1, 10**7]}))
     with pytest.raises(ps.ModelError, match="out of range"):
         ps.estimate(truth, [far])

@@ -173,7 +173,7 @@ def test_unnamed_groups_get_their_numbers(tmp_path, cube):
     meshio.write(tmp_path / "a.msh", mesh, file_format="gmsh22", binary=False)
     back = ps.read_mesh(tmp_path / "a.msh")
     assert back.region_names == ("7", "9")
-    assert np.array_equal(np.sort(back.sets["4"]), np.unique(cube.surface[:2]))
+    assert np.array_equal(np.sort(back.sets["surface 4"]), np.unique(cube.surface[:2]))
 
 
 def test_writing_is_all_or_nothing(tmp_path, cube):

@@ -33,6 +33,27 @@ def test_a_limb_thicker_than_its_bend_is_refused():
         ps.sweep(arc(0.1, 0.11))
 
 
+def test_the_axis_stays_by_its_nodes():
+    # evenly spaced or not, a gentle limb is followed
+    for spacing in (np.linspace(0, 1, 9), np.array([0, 0.02, 0.04, 0.5, 0.52, 1.0])):
+        points = np.column_stack([0.1 * np.sin(2 * spacing), 0 * spacing, spacing])
+        tube = ps.sweep(
+            ps.Skeleton.from_limbs([Polyline(points, np.full(len(points), 0.01))])
+        ).tubes[0]
+        x = tube.axis(np.linspace(0, 1, 200))
+        assert np.abs(x[:, 0] - 0.1 * np.sin(2 * x[:, 2])).max() < 0.005
+    # a kink between two close nodes would throw a plain spline a metre out
+    kink = [[0, 0, 0], [0, 0, 0.9], [0, 0.001, 0.901], [0, 0, 1]]
+    try:
+        tube = ps.sweep(ps.Skeleton.from_limbs([Polyline(kink, np.full(4, 5e-4))])).tubes[0]
+        assert tube.length < 1.1
+    except ps.GeometryError as why:
+        assert "limb 0" in str(why)  # noqa: PT017
+    hairpin = [[0, 0, 0], [0, 0, 1], [0.05, 0, 1], [0.05, 0, 0]]
+    with pytest.raises(ps.GeometryError, match="limb 0"):
+        ps.sweep(ps.Skeleton.from_limbs([Polyline(hairpin, np.full(4, 0.04))]))
+
+
 def test_joints_are_checked():
     trunk = Polyline([[0, 0, 0], [0, 0, 1]], [0.05, 0.05])
     for start, radius, says in (

@@ -16,6 +16,7 @@ from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Force, Gravity, Load, Move
 from plantsim.elastic.material import Material
 from plantsim.elastic.stiffness import Blocks, Pattern, blocks
+from plantsim.elastic.supports import check_held
 from plantsim.errors import ModelError
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.solve.solver import Choice, Factor, choose
@@ -49,13 +50,18 @@ class ElasticModel:
             raise ModelError(f"kinematics {self.kinematics!r} is not known; give 'linear'.")
         self.material.per_tet(len(self.mesh.tets))
         choose(self.solver, 0)
-        ids = self._ids(self.fixed, "fixed")
+        ids = self.vertices(self.fixed, "fixed")
         object.__setattr__(self, "fixed", ids)
-        if self._shared is None:
-            _check_held(self.mesh, ids)
-            object.__setattr__(self, "_shared", _Shared(self.mesh))
+        shared = self._shared
+        if (
+            shared is None or shared.mesh is not self.mesh
+        ):  # dataclasses.replace may change it
+            shared = _Shared(self.mesh)
+            object.__setattr__(self, "_shared", shared)
+        shared.check_held(ids)
 
-    def _ids(self, ids: ArrayLike | str, what: str) -> Array:
+    def vertices(self, ids: ArrayLike | str, what: str = "vertices") -> Array:
+        """Return vertex ids from a set's name, ids or a mask; ModelError names `what`."""
         if isinstance(ids, str):
             if ids not in self.mesh.sets:
                 names = ", ".join(self.mesh.sets) or "no sets"
@@ -101,7 +107,8 @@ class ElasticModel:
             free = np.setdiff1d(np.arange(len(self.mesh.points)), held)
             K: Any = self.pattern.condense(self._K, free, free)
             solver = choose(self.solver, K.shape[0])
-            self._factors[key] = free, solver.factor(K, self.mesh.points[free])
+            made = solver.factor(K, self.mesh.points[free]) if len(free) else Nothing()
+            self._factors[key] = free, made
             while len(self._factors) > KEPT:
                 self._factors.popitem(last=False)
         self._factors.move_to_end(key)
@@ -119,12 +126,12 @@ class ElasticModel:
         moved = np.zeros(0, dtype=np.int64)
         for load in loads:
             if isinstance(load, Move):
-                ids = self._ids(load.ids, "moved")
+                ids = self.vertices(load.ids, "moved")
                 self._check_moved(ids, fixed, moved)
                 u[ids] = _fit(load.displacement, ids)
                 moved = np.concatenate([moved, ids])
             elif isinstance(load, Force):
-                ids = self._ids(load.ids, "force")
+                ids = self.vertices(load.ids, "force")
                 share = max(len(ids), 1) if load.force.ndim == 1 else 1
                 f[ids] += _fit(load.force, ids) / share
             elif isinstance(load, Gravity):
@@ -163,7 +170,7 @@ class ElasticModel:
 
         Raises ModelError for ids out of range or fixed.
         """
-        return Contact(self, self._ids(ids, "contact"))
+        return Contact(self, self.vertices(ids, "contact"))
 
     @cached_property
     def _nodal_mass(self) -> Array:
@@ -202,11 +209,30 @@ class ElasticModel:
         )
 
 
+@dataclass(frozen=True)
+class Nothing:
+    """The factor of no unknowns at all: every free vertex is moved."""
+
+    name: str = "none"
+    backend: str = "nothing to solve"
+
+    def __call__(self, f: Array) -> tuple[Array, int, float]:
+        """Return f, which is empty."""
+        return f, 0, 0.0
+
+
 class _Shared:
     """What depends on the mesh alone, made at first use."""
 
     def __init__(self, mesh: TetMesh) -> None:
         self.mesh = mesh
+        self._held: set[bytes] = set()
+
+    def check_held(self, fixed: Array) -> None:
+        """Raise ModelError unless these vertices hold the mesh; checked once a set."""
+        if fixed.tobytes() not in self._held:
+            check_held(self.mesh, fixed)
+            self._held.add(fixed.tobytes())
 
     @cached_property
     def blocks(self) -> Blocks:
@@ -223,33 +249,3 @@ def _fit(rows: Array, ids: Array) -> Array:
             f"{len(rows)} rows for {len(ids)} vertices. Give one row a vertex."
         )
     return rows
-
-
-def _check_held(mesh: TetMesh, fixed: Array) -> None:
-    """Raise ModelError for a piece that is free, or free to turn about its supports."""
-    piece = mesh.pieces
-    count = int(piece.max()) + 1
-    size = np.bincount(piece, minlength=count)
-    held = np.bincount(piece[fixed], minlength=count)
-    loose = np.flatnonzero(held == 0)
-    if loose.size:
-        first = int(np.flatnonzero(piece == loose[0])[0])
-        what = (
-            "no vertex is fixed"
-            if count == 1
-            else (
-                f"{loose.size} of {count} disconnected pieces have no fixed vertex (the "
-                f"first has {size[loose[0]]} vertices, among them {first})"
-            )
-        )
-        raise ModelError(
-            f"{what}, so the system is singular. Fix at least three in each piece."
-        )
-    for p in range(count):
-        x = mesh.points[fixed[piece[fixed] == p]]
-        spread = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
-        if len(x) < 3 or spread[1] <= 1e-9 * max(spread[0], 1e-300):
-            raise ModelError(
-                f"a piece is held by {len(x)} vertices, which leave it free to turn. Fix "
-                "at least three that are not in line."
-            )

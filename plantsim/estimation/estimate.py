@@ -59,7 +59,7 @@ class Estimate:
 
 def estimate(
     model: ElasticModel,
-    observations: Iterable[Observation],
+    observations: Observation | Iterable[Observation],
     *,
     parameters: Parameters | None = None,
     method: Literal["force-balance"] = "force-balance",
@@ -77,7 +77,7 @@ def estimate(
     Raises EstimateError where nothing was observed, displacements that the method needs
     were not seen, or the solver did not reach an optimum.
     """
-    seen = list(observations)
+    seen = [observations] if isinstance(observations, Observation) else list(observations)
     if not seen:
         raise EstimateError("no observations: give at least one touch.")
     if method != "force-balance":

@@ -104,6 +104,14 @@ def _equations(
         known[ids] = True
     blind = np.zeros(n, dtype=bool)  # vertices of which a neighbour was not seen
     blind[model.mesh.tets[~known[model.mesh.tets].all(axis=1)]] = True
+    held = np.intersect1d(seen.moved, fixed)
+    if len(held):
+        raise EstimateError(
+            f"an observation moves {len(held)} vertices that the model holds fixed (first "
+            f"ids: {few(held)}). Take them out of one."
+        )
+    if not seen.force.any():
+        raise EstimateError("an observation has no force at all. Leave it out.")
     hidden = seen.moved[blind[seen.moved]]
     if len(hidden):
         raise EstimateError(
@@ -119,7 +127,7 @@ def _equations(
     f[: len(seen.moved)] = seen.force
     W = force_matrix(model, u)[(3 * at[:, None] + np.arange(3)).ravel()]
     typical = float(np.sqrt(np.mean(seen.force**2)))
-    noise = seen.force_noise or 1e-6 * typical or 1.0
+    noise = seen.force_noise or 1e-6 * typical
     return csr_array(W @ linear.A), f.ravel(), noise
 
 

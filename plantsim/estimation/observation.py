@@ -53,8 +53,9 @@ class Observation:
                 "an observation without a moved vertex. Touch at least one."
             )
         for name in ("force_noise", "displacement_noise"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise EstimateError(f"{name} is {getattr(self, name)}; give 0 or more.")
+            noise = getattr(self, name)
+            if not isinstance(noise, (int, float, np.number)) or not 0 <= noise < np.inf:
+                raise EstimateError(f"{name} is {noise!r}; give one number, 0 or more.")
 
     def _fill(self, name: str, shape: tuple[int | None, ...], dtype: type) -> Array:
         raw = np.asarray(getattr(self, name))
@@ -77,19 +78,23 @@ def observe(
     model: ElasticModel,
     touch: Move,
     *,
-    seen: ArrayLike | None = None,
+    seen: ArrayLike | str | None = None,
     displacement_noise: float = 0.0,
     force_noise: float = 0.0,
-    rng: Random = 0,
+    rng: Random | None = None,
 ) -> Observation:
     """Return what a robot would see and feel when it moves vertices of this model.
 
-    `seen`: ids of the vertices whose displacement is seen, all where None. The noise [m, N]
-    is normal, independent in every component; the gripper knows its own motion exactly.
+    `seen`: the vertices whose displacement is seen (ids, mask or set), all where None. The
+    noise [m, N] is normal, independent in every component; it needs an `rng`, and one
+    Generator for all touches if they are to differ. The gripper knows its own motion.
     """
+    if rng is None and (displacement_noise or force_noise):
+        raise EstimateError("noise without rng. Pass one numpy Generator for all touches.")
+    random = generator(0 if rng is None else rng)
+    count = len(model.mesh.points)
+    ids = np.arange(count) if seen is None else model.vertices(seen, "seen")
     state = model.solve(touch)
-    random = generator(rng)
-    ids = np.arange(len(model.mesh.points)) if seen is None else np.asarray(seen)
     u, f = state.displacement[ids], state.force[state.moved]
     return Observation(
         moved=state.moved,

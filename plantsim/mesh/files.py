@@ -1,6 +1,7 @@
 """Meshes in and out of files: .msh (2.2, 4.1; text or binary), .vtu and .npz."""
 
 import contextlib
+import html
 import io
 import os
 from collections.abc import Mapping
@@ -11,9 +12,10 @@ import meshio
 import numpy as np
 from numpy.typing import ArrayLike
 
-from plantsim.arrays import Array, few
-from plantsim.errors import FileError, MeshError
+from plantsim.arrays import Array, few, frozen, vertex_ids
+from plantsim.errors import FileError, MeshError, ModelError
 from plantsim.mesh.msh41 import write_msh41
+from plantsim.mesh.msh41_reader import Block, physical_names, read_msh41
 from plantsim.mesh.tetmesh import TetMesh, compact
 from plantsim.paths import existing, replacing, writable
 
@@ -44,10 +46,9 @@ def read_mesh(path: str | os.PathLike[str], *, drop_unused: bool = False) -> Tet
             "For .geo and .step use tetrahedralize."
         )
     points, tets, region, names, sets = readers[path.suffix.lower()](path)
-    if drop_unused:
-        inside = (tets >= 0).all() and (tets < len(points)).all()
-        points, tets, sets = compact(points, tets, sets) if inside else (points, tets, sets)
     try:
+        if drop_unused:
+            points, tets, sets = _compacted(points, tets, sets)
         return TetMesh(points, tets, region, sets, names)
     except MeshError as why:
         raise MeshError(f"{path}: {why}") from None
@@ -89,96 +90,145 @@ def write_mesh(
     return path
 
 
+def _compacted(
+    points: Array, tets: Array, sets: dict[str, Array]
+) -> tuple[Array, Array, dict[str, Array]]:
+    """Drop unused vertices of arrays that nobody has checked yet."""
+    points = frozen(points, (None, 3), name="points", error=MeshError)
+    tets = frozen(tets, (None, None), np.int64, name="tets", error=MeshError)
+    if not tets.size or tets.min() < 0 or tets.max() >= len(points):
+        return points, tets, sets  # for TetMesh to refuse
+    checked = {}
+    for name, ids in sets.items():
+        try:
+            checked[name] = vertex_ids(ids, len(points), f"set {name!r}")
+        except ModelError as why:
+            raise MeshError(str(why)) from None
+    return compact(points, tets, checked)
+
+
 Parts = tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array]]
 
 
 def _read_msh(path: Path) -> Parts:
-    with path.open("rb") as f:
-        head = f.read(4096)
+    raw = path.read_bytes()
     # gmsh itself takes any file without this header for a script, and scripts can call a
     # shell
-    if not head.lstrip().startswith((b"$MeshFormat", b"$Comments")):
+    if not raw.lstrip().startswith((b"$MeshFormat", b"$Comments")):
         raise FileError(
             f"{path}: does not start with $MeshFormat, so it is not a gmsh mesh (a script, "
             "perhaps; nothing was run). Export it from gmsh as .msh 2.2 or 4.1."
         )
-    raw = _meshio_read(path, "gmsh")
-    groups = _groups(raw)
-    points, tets, blocks = _tets(path, raw)
-    region: Array | None = None
-    names: list[str] = []
-    sets: dict[str, Array] = {}
-    start = np.cumsum([0] + [len(block.data) for block in raw.cells])
-    label = np.full(start[-1], -1)
-    for (dim, name), cells in groups.items():
-        if dim == 3:
-            label[cells] = len(names)
-            names.append(name)
-            continue
-        ids = [
-            raw.cells[b].data[
-                cells[(cells >= start[b]) & (cells < start[b + 1])] - start[b]
-            ]
-            for b in range(len(raw.cells))
-            if raw.cells[b].dim == dim
-        ]
-        sets[name] = np.unique(np.concatenate([i.ravel() for i in ids]))
-    if names:
-        region = np.concatenate([label[start[b] : start[b + 1]] for b in blocks])
-        if (region < 0).any():
-            region = np.where(region < 0, len(names), region)
-            names.append("rest")
-        present, region = np.unique(region, return_inverse=True)
-        names = [names[i] for i in present]
-    return points, tets, region, tuple(names), sets
-
-
-def _groups(raw: Any) -> dict[tuple[int, str], Array]:
-    """Return the cells, counted over all blocks, of each group (dimension, name)."""
-    start = np.cumsum([0] + [len(block.data) for block in raw.cells])
-    names = {(int(dim), int(tag)): name for name, (tag, dim) in raw.field_data.items()}
-    groups: dict[tuple[int, str], list[Array]] = {}
-    seen = set()
-    for name, cells in raw.cell_sets.items():  # version 4.1: every group of every entity
-        if name not in raw.field_data:
-            continue
-        dim = int(raw.field_data[name][1])
-        parts = [
-            start[b] + np.asarray(c, dtype=np.int64)
-            for b, c in enumerate(cells)
-            if c is not None and len(c)
-        ]
-        if parts:
-            groups[dim, name] = parts
-            seen.add((dim, name))
-    for b, tags in enumerate(raw.cell_data.get("gmsh:physical", [])):
-        dim = raw.cells[b].dim
-        for tag in np.unique(tags):
-            name = names.get((dim, int(tag)), str(tag))
-            if tag > 0 and (dim, name) not in seen:
-                where = start[b] + np.flatnonzero(np.asarray(tags) == tag)
-                groups.setdefault((dim, name), []).append(where)
-    return {key: np.concatenate(parts) for key, parts in groups.items()}
-
-
-def _tets(path: Path, raw: Any) -> tuple[Array, Array, list[int]]:
-    """Return points, tets and the numbers of the blocks that hold them."""
-    kinds = {block.type for block in raw.cells if len(block.data)}
-    wanted = kinds & {"tetra", "tetra10"}
-    if not wanted:
+    try:
+        names = physical_names(raw)
+        modern = raw[raw.index(b"$MeshFormat") :].split(None, 2)[1].startswith(b"4.1")
+        points, blocks = read_msh41(path) if modern else _read_msh22(path)
+    except (ValueError, IndexError, OverflowError, MemoryError) as why:
+        if isinstance(why, FileError):
+            raise
+        raise _unreadable(path, why) from None
+    used = {(b.dim, tag) for b in blocks for tag in b.groups}
+    if names and not used:
         raise FileError(
-            f"{path}: no tetrahedra in it ({', '.join(sorted(kinds)) or 'no cells'}). "
-            "Mesh the volume in 3D, or use tetrahedralize on its geometry."
+            f"{path}: it names groups ({few(names.values())}), but no element is in any, "
+            "as Mesh.SaveAll does to version 2.2. Save it as 4.1, or without SaveAll."
         )
-    if len(wanted) == 2:
+    groups = sorted(used | set(names))
+    regions = [tag for dim, tag in groups if dim == 3]
+    tets, region = _labelled_tets(path, blocks, regions, once=modern)
+    sets: dict[str, Array] = {}
+    for dim, tag in groups:
+        if dim == 3:
+            continue
+        kind = ("point", "curve", "surface")[dim]
+        name = names.get((dim, tag), f"{kind} {tag}")
+        ids = [
+            b.nodes[b.groups[tag]].ravel()
+            for b in blocks
+            if b.dim == dim and tag in b.groups
+        ]
+        key = name if name not in sets else f"{kind} {name}"
+        sets[key] = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *ids]))
+    titles = tuple(names.get((3, tag), str(tag)) for tag in regions)
+    if len(set(titles)) < len(titles):
+        titles = tuple(f"{t} {tag}" for t, tag in zip(titles, regions, strict=True))
+    if region is not None and (region == len(titles)).any():
+        titles += ("rest",)
+    return points, tets, region, titles if region is not None else (), sets
+
+
+def _labelled_tets(
+    path: Path, blocks: list[Block], regions: list[int], *, once: bool
+) -> tuple[Array, Array | None]:
+    """Return the tets and the region of each, the first of the groups that it is in.
+
+    Version 2.2 writes a tet once for every group that it is in, not `once` in all.
+    """
+    solid = [b for b in blocks if b.dim == 3 and len(b.nodes)]
+    _one_order(path, [b.kind for b in solid], [b.kind for b in blocks])
+    nodes = np.concatenate([b.nodes for b in solid])
+    label = np.full(len(nodes), len(regions))
+    start = 0
+    for block in solid:
+        for tag, rows in block.groups.items():
+            place = regions.index(tag)
+            label[start + rows] = np.minimum(label[start + rows], place)
+        start += len(block.nodes)
+    if once:
+        return nodes, label if regions else None
+    _, first, same = np.unique(
+        np.sort(nodes[:, :4], axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    if len(first) < len(nodes):
+        best = np.full(len(first), len(regions))
+        np.minimum.at(best, same.ravel(), label)
+        label = best[same.ravel()]
+        keep = np.sort(first)
+        nodes, label = nodes[keep], label[keep]
+    return nodes, label if regions else None
+
+
+def _one_order(path: Path, solid: list[str], everything: list[str]) -> str:
+    """Return "tetra" or "tetra10"; FileError unless all solid elements are one."""
+    kinds = set(solid)
+    others = kinds - {"tetra", "tetra10"}
+    if not kinds & {"tetra", "tetra10"}:
+        raise FileError(
+            f"{path}: no tetrahedra in it "
+            f"({', '.join(sorted(set(everything))) or 'no cells'}). Mesh the volume in 3D "
+            "with tetrahedra, or use tetrahedralize on its geometry."
+        )
+    if others:
+        raise FileError(
+            f"{path}: {', '.join(sorted(others))} elements beside tetrahedra. Mesh "
+            "everything with tetrahedra."
+        )
+    if len(kinds) == 2:
         raise FileError(
             f"{path}: tetrahedra of order 1 and 2 mixed. Write the mesh with one order."
         )
-    blocks = [
-        b for b, block in enumerate(raw.cells) if block.type in wanted and len(block.data)
-    ]
-    tets = np.concatenate([raw.cells[b].data for b in blocks])
-    return np.asarray(raw.points, dtype=float), tets.astype(np.int64), blocks
+    return kinds.pop()
+
+
+def _read_msh22(path: Path) -> tuple[Array, list[Block]]:
+    raw = _meshio_read(path, "gmsh")
+    blocks = []
+    physical = raw.cell_data.get(
+        "gmsh:physical", [np.zeros(len(c.data)) for c in raw.cells]
+    )
+    for cells, tags in zip(raw.cells, physical, strict=True):
+        tag = np.abs(np.asarray(tags, dtype=np.int64))
+        groups = {int(t): np.flatnonzero(tag == t) for t in np.unique(tag[tag > 0])}
+        blocks.append(Block(cells.dim, cells.type, cells.data.astype(np.int64), groups))
+    return np.asarray(raw.points, dtype=float), blocks
+
+
+def _unreadable(path: Path, why: object) -> FileError:
+    text = " ".join(str(why).split()) or type(why).__name__
+    return FileError(
+        f"{path}: cannot be read as {path.suffix} ({text[:120]}). It is cut short or "
+        "damaged: write it again."
+    )
 
 
 def _meshio_read(path: Path, kind: str) -> Any:
@@ -186,29 +236,24 @@ def _meshio_read(path: Path, kind: str) -> Any:
     try:
         with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
             return meshio.read(path, file_format=kind)
-    except (
-        SystemExit,
-        Exception,
-    ) as why:  # meshio raises anything, and exits, on broken files
-        text = " ".join(str(why).split()) or type(why).__name__
-        raise FileError(
-            f"{path}: cannot be read as {path.suffix} ({text[:120]}). Write it again, "
-            "from gmsh with physical groups and without Mesh.SaveAll."
-        ) from None
+    except (SystemExit, Exception) as why:  # whatever meshio makes of a broken file
+        raise _unreadable(path, why) from None
 
 
 def _read_vtu(path: Path) -> Parts:
     raw = _meshio_read(path, "vtu")
-    points, tets, blocks = _tets(path, raw)
+    solid = [b for b, c in enumerate(raw.cells) if c.dim == 3 and len(c.data)]
+    _one_order(path, [raw.cells[b].type for b in solid], [c.type for c in raw.cells])
+    tets = np.concatenate([raw.cells[b].data for b in solid]).astype(np.int64)
     region = raw.cell_data.get("region")
     if region is not None:
-        region = np.concatenate([np.asarray(region[b]) for b in blocks]).astype(np.int64)
+        region = np.concatenate([np.asarray(region[b]) for b in solid])
     sets = {
-        name.removeprefix("set:"): np.flatnonzero(values)
+        html.unescape(name.removeprefix("set:")): np.flatnonzero(np.asarray(values) == 1)
         for name, values in raw.point_data.items()
         if name.startswith("set:")
     }
-    return points, tets, region, (), sets
+    return np.asarray(raw.points, dtype=float), tets, region, (), sets
 
 
 def _read_npz(path: Path) -> Parts:
@@ -255,8 +300,9 @@ def _write_vtu(
 ) -> None:
     points: dict[str, Any] = {}
     for name, ids in mesh.sets.items():
-        points[f"set:{name}"] = np.zeros(len(mesh.points), dtype=np.uint8)
-        points[f"set:{name}"][ids] = 1
+        key = f"set:{html.escape(name)}"  # meshio writes names into XML as they are
+        points[key] = np.zeros(len(mesh.points), dtype=np.uint8)
+        points[key][ids] = 1
     cells: dict[str, Any] = {"region": np.asarray(mesh.region)}
     for given, kept, count, what in (
         (point_data, points, len(mesh.points), "vertices"),

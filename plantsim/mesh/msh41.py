@@ -48,8 +48,10 @@ def write_msh41(mesh: TetMesh, path: Path, *, binary: bool) -> None:
         out.end()
         f.write(b"$EndNodes\n$Elements\n")
         blocks: list[tuple[int, int, int, Array]] = []
-        for i, tag in enumerate(tags):
-            blocks.append((3, tag, TET[mesh.order], tets[region == i]))
+        # runs of equal region, so that tets keep their order
+        cuts = np.flatnonzero(np.diff(region)) + 1
+        for run in np.split(np.arange(len(tets)), cuts):
+            blocks.append((3, int(region[run[0]]) + 1, TET[mesh.order], tets[run]))
         for i, ids in enumerate(sets, 1):
             blocks.append((0, i, POINT, ids[:, None]))
         blocks = [block for block in blocks if len(block[3])]

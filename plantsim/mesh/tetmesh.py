@@ -62,10 +62,20 @@ class TetMesh:
                 "would make the system singular. Drop them: read_mesh(path, "
                 "drop_unused=True)."
             )
+        if (self._faces[1] > 2).any():
+            raise MeshError(
+                f"{int((self._faces[1] > 2).sum())} faces belong to three tets or more, "
+                "so tets are there twice or overlap. Take each once."
+            )
         self._check_volumes()
         region = np.zeros(len(tets), int) if self.region is None else self.region
         region = frozen(region, (len(tets),), np.int64, name="region", error=MeshError)
         object.__setattr__(self, "region", region)
+        if region.max() > len(tets) + len(self.region_names):
+            raise MeshError(
+                f"region: labels up to {region.max()} for {len(tets)} tets. Number "
+                "regions from 0."
+            )
         names = tuple(self.region_names) or tuple(str(i) for i in range(region.max() + 1))
         if region.min() < 0 or region.max() >= len(names):
             raise MeshError(
@@ -131,11 +141,16 @@ class TetMesh:
         return gamma(self.points[self.tets[:, :4]])
 
     @cached_property
+    def _faces(self) -> tuple[Array, Array]:
+        """First place (of tet times four and face) and count of each distinct face."""
+        return unique_rows(np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1))
+
+    @cached_property
     def surface(self) -> Array:
         """Boundary triangles (k, 3 | 6), outward; corners, then middles of 01, 12, 20."""
-        faces = self.tets[:, FACES].reshape(-1, 3)
-        first, count = unique_rows(np.sort(faces, axis=1))
+        first, count = self._faces
         outer = np.sort(first[count == 1])
+        faces = self.tets[:, FACES].reshape(-1, 3)
         if self.order == 1:
             return faces[outer]
         return np.hstack([faces, self.tets[:, FACE_MIDS].reshape(-1, 3)])[outer]
@@ -149,6 +164,14 @@ class TetMesh:
         return (off > 1e-18 * ((ends[:, :, 1] - ends[:, :, 0]) ** 2).sum(axis=2)).any(
             axis=1
         )
+
+    @cached_property
+    def neighbours(self) -> Array:
+        """Pairs (k, 2) of tets that share a face."""
+        faces = np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1)
+        order = np.lexsort(faces.T)
+        same = np.flatnonzero((faces[order[1:]] == faces[order[:-1]]).all(axis=1))
+        return np.stack([order[same], order[same + 1]], axis=1) // len(FACES)
 
     @property
     def curved(self) -> bool:

@@ -14,6 +14,9 @@ from plantsim.plant.skeleton import Limb, Skeleton
 
 Tips = Literal["round", "flat"]
 JOINT = 0.97  # a child thicker than this share of its parent would touch it along a line
+SWING = (
+    1.0  # largest distance of the axis from its nodes' polyline [radii, or 0.15 segments]
+)
 BEND = 0.95  # largest radius / bend radius: beyond 1 a tube crosses itself
 
 
@@ -47,15 +50,47 @@ class Tube:
         object.__setattr__(self, "radii", radii)
 
     @cached_property
-    def _knots(self) -> Array:
-        s = np.r_[0, np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))]
-        return s / s[-1]
+    def _fit(self) -> tuple[Array, CubicSpline]:
+        """Knots and spline through the nodes, the first that stays close to the polyline.
 
-    @cached_property
+        Over the arc length, with the ends like the rest of the limb; where that swings out,
+        as it does when long and short segments meet, centripetal (Lee 1989), and then
+        straight at its ends.
+        """
+        step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        for power, ends in ((1.0, "not-a-knot"), (0.5, "not-a-knot"), (0.5, "natural")):
+            s = np.r_[0, np.cumsum(step**power)]
+            knots = s / s[-1]
+            kind = ends if len(self.points) > 3 else "natural"
+            fit = knots, CubicSpline(knots, self.points, bc_type=kind)
+            if self._swing(*fit) < SWING:
+                return fit
+        raise GeometryError(
+            f"limb {self.name}: a smooth axis through its nodes swings "
+            f"{self._swing(*fit):.2g} radii away from the lines between them, wanted "
+            f"{SWING}. Space the nodes more evenly."
+        )
+
+    def _swing(self, knots: Array, spline: CubicSpline) -> float:
+        """Largest distance of the spline from its chords, in radii."""
+        t = np.linspace(0, 1, 9)[1:-1]
+        u = knots[:-1, None] + t * np.diff(knots)[:, None]
+        a, d = self.points[:-1, None], np.diff(self.points, axis=0)[:, None]
+        off = spline(u) - a
+        along = (off * d).sum(axis=2) / (d**2).sum(axis=2)
+        away = np.linalg.norm(off - np.clip(along, 0, 1)[:, :, None] * d, axis=2)
+        radius = np.minimum(self.radii[1:], self.radii[:-1])[:, None]
+        # a bend of so coarse a polyline may bulge by a share of its segment
+        room = np.maximum(radius, 0.15 * np.linalg.norm(d, axis=2))
+        return float((away / room).max())
+
+    @property
+    def _knots(self) -> Array:
+        return self._fit[0]
+
+    @property
     def _axis(self) -> CubicSpline:
-        # natural ends would bend a limb's last segment more than the rest of an arc
-        ends = "not-a-knot" if len(self.points) > 3 else "natural"
-        return CubicSpline(self._knots, self.points, bc_type=ends)
+        return self._fit[1]
 
     @cached_property
     def _radius(self) -> PchipInterpolator:
