@@ -32,26 +32,21 @@ def check_held(mesh: TetMesh, fixed: Array) -> None:
             f"{what}, so the system is singular. Fix at least three in each piece."
         )
     body = _bodies(mesh)
-    bodies = int(body.max()) + 1
     held = np.zeros(len(mesh.points), dtype=bool)
     held[fixed] = True
-    members = [np.unique(mesh.tets[body == b]) for b in range(bodies)]
-    waiting = list(range(bodies))
+    waiting = [np.unique(mesh.tets[body == b]) for b in range(int(body.max()) + 1)]
     while waiting:
-        firm = [
-            b for b in waiting if _spans_a_plane(mesh.points[members[b][held[members[b]]]])
-        ]
-        if not firm:
-            b = waiting[0]
-            count = int(held[members[b]].sum())
+        firm = [_spans_a_plane(mesh.points[ids[held[ids]]]) for ids in waiting]
+        if not any(firm):
+            ids = waiting[0]
             raise ModelError(
-                f"a body of {len(members[b])} vertices (among them {members[b][0]}) is held by "
-                f"{count} vertices, fixed or shared with a held body, which leave it free to "
-                "turn. Fix at least three that are not in line."
+                f"a body of {len(ids)} vertices (among them {ids[0]}) is held by "
+                f"{int(held[ids].sum())} vertices, fixed or shared with a held body, which "
+                "leave it free to turn. Fix at least three that are not in line."
             )
-        for b in firm:
-            held[members[b]] = True
-        waiting = [b for b in waiting if b not in firm]
+        for ids, now in zip(waiting, firm, strict=True):
+            held[ids] |= now
+        waiting = [ids for ids, now in zip(waiting, firm, strict=True) if not now]
 
 
 def _spans_a_plane(x: Array) -> bool:
