@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from plantsim.plant.simple import tapered as tapered
     from plantsim.plant.skeleton import Limb as Limb
     from plantsim.plant.skeleton import Skeleton as Skeleton
-    from plantsim.plant.weber_penn import WeberPenn as WeberPenn
-    from plantsim.plant.weber_penn import species as species
+    from plantsim.plant.parameters import WeberPenn as WeberPenn
+    from plantsim.plant.parameters import species as species
     from plantsim.plant.weber_penn import weber_penn as weber_penn
     from plantsim.solid.sweep import Solid as Solid
     from plantsim.solid.sweep import sweep as sweep
@@ -84,7 +84,8 @@ _HOME = {
     "plantsim.mesh.tetmesh": ("TetMesh",),
     "plantsim.plant.simple": ("fork", "straight", "tapered"),
     "plantsim.plant.skeleton": ("Limb", "Skeleton"),
-    "plantsim.plant.weber_penn": ("WeberPenn", "species", "weber_penn"),
+    "plantsim.plant.parameters": ("WeberPenn", "species", "species_names"),
+    "plantsim.plant.weber_penn": ("weber_penn",),
     "plantsim.solid.sweep": ("Solid", "sweep"),
     "plantsim.solid.tetrahedralize": ("tetrahedralize",),
     "plantsim.solve.direct": ("Direct",),
