@@ -81,6 +81,22 @@ class Splines:
         h = self.arc[i + 1] - self.arc[i]
         return i, np.clip((arc - self.arc[i]) / h, 0, 1)
 
+    def nearest(
+        self, limb: Array, arc: Array, x: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return (arc, interval, t, distance) of the axis points nearest to x (k, 3) [m].
+
+        By Gauss-Newton from the arcs given, which must be near.
+        """
+        full = self.arc[self.last[limb]]
+        for _ in range(6):
+            i, t = self.locate(limb, arc)
+            d = self.velocity(i, t)
+            step = ((x - self.at(i, t)) * d).sum(axis=-1) / (d * d).sum(axis=-1)
+            arc = np.clip(arc + step, 0, full)
+        i, t = self.locate(limb, arc)
+        return arc, i, t, np.linalg.norm(self.at(i, t) - x, axis=-1)
+
     @property
     def intervals(self) -> Array:
         """The intervals that are not void."""

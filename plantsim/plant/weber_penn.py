@@ -5,13 +5,15 @@ the reference program tree-gen does otherwise stands in docs/plants.md and hangs
 `WeberPenn.rules`.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from plantsim.arrays import Array, Random, generator
 from plantsim.errors import GeometryError
 from plantsim.plant.frames import Frames, about_x, about_y, about_z, on_tangent
 from plantsim.plant.parameters import LEVELS, WeberPenn, species
-from plantsim.plant.ready import Forks, prepared
+from plantsim.plant.prepare import Forks, prepared
 from plantsim.plant.skeleton import Skeleton
 from plantsim.plant.stems import MOST, Stems, grow_level, radius_at, rolled, shape_ratio
 
@@ -66,11 +68,12 @@ def weber_penn(
 def grown(m: WeberPenn, rng: np.random.Generator, levels: int) -> list[Stems]:
     """Return the stems that the model grows, level by level."""
     trunks = max(1, int(m.branches[0]))
+    roll = rng.uniform(0, 2 * np.pi, trunks)
+    girth = m.scale0 + m.scale0_v * rng.uniform(-1, 1, trunks)
     height = np.maximum(m.scale + m.scale_v * rng.uniform(-1, 1, trunks), 1e-3)
     length = height * (m.length[0] + m.length_v[0] * rng.uniform(-1, 1, trunks))
-    thick = m.ratio * m.radius_mod[0] * (m.scale0 + m.scale0_v * rng.uniform(-1, 1, trunks))
+    thick = m.ratio * m.radius_mod[0] * girth
     start = _places(m, rng, trunks)
-    roll = rng.uniform(0, 2 * np.pi, trunks)
     eye = [np.tile(axis, (trunks, 1)) for axis in np.eye(3)]
     seed = _seed(m, rng, 0, length, length * thick)
     # the crown begins at BaseSize of the tree; the program says of the trunk
@@ -101,8 +104,6 @@ def _seed(
 
 
 def _with(stems: Stems, **values: Array) -> Stems:
-    from dataclasses import replace  # noqa: PLC0415
-
     values.setdefault("offset", np.zeros(len(stems.whole)))
     return replace(stems, **values)
 
