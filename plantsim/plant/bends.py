@@ -124,10 +124,11 @@ def rebuilt(skeleton: S, points: Array, radius: Array, first: Array) -> S:
     parent[first] = -1
     # within rounding of the next node, that node is the one at or before
     parent[first[joints.limb]] = interval + (t > 1 - 1e-9)
-    return replace(
-        skeleton,
-        points=points + shift[limb],
-        radius=radius,
-        parent=parent,
-        limb=limb,
+    moved = points + shift[limb]
+    out = skeleton.trusted(points=moved, radius=radius, parent=parent, limb=limb)
+    # known already: a shift changes neither lengths nor bends
+    out.__dict__["splines"] = replace(axes, points=moved)
+    out.__dict__["joints"] = joints._replace(
+        arc=arc, interval=interval, t=t, distance=np.zeros(len(arc))
     )
+    return out

@@ -5,7 +5,7 @@ pieces whose centres are near enough are compared.
 Source of the segment distance: C. Ericson, Real-Time Collision Detection (2005), 5.1.9.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -34,13 +34,17 @@ class Capsules:
     arc: Array  # (k,) of the middle, along the limb [m]
 
 
-def capsules(skeleton: "Skeleton") -> Capsules:
-    """Return the pieces, each at most about three radii long (twelve an interval)."""
+def capsules(skeleton: "Skeleton", zone: Array) -> Capsules:
+    """Return the pieces: short up to `zone` [m], elsewhere as straight as need be."""
     axes = skeleton.splines
     i = axes.intervals
+    limb = skeleton.limb[i]
     h = axes.arc[i + 1] - axes.arc[i]
     thick = np.minimum(axes.radius[i], axes.radius[i + 1])
-    parts = np.clip(np.ceil(h / (3 * thick)), 1, 12).astype(int)
+    bend = np.sqrt(np.maximum((axes.bend[i] ** 2).sum(-1), (axes.bend[i + 1] ** 2).sum(-1)))
+    sag = np.sqrt(bend * h * h / (8 * 0.2 * thick))
+    fine = np.where(axes.arc[i] < zone[limb], h / (3 * thick), 1.0)
+    parts = np.clip(np.ceil(np.maximum(sag, fine)), 1, 12).astype(int)
     cell = np.repeat(i, parts)
     k = np.arange(len(cell)) - np.repeat(np.cumsum(parts) - parts, parts)
     n = np.repeat(parts, parts)
@@ -54,20 +58,25 @@ def capsules(skeleton: "Skeleton") -> Capsules:
     )
 
 
-def colliding(skeleton: "Skeleton", clear: float = CLEAR) -> Array:
+def colliding(
+    skeleton: "Skeleton", clear: float = CLEAR, only: Array | None = None
+) -> Array:
     """Return pairs of limbs (k, 2), the smaller index first, that are too near.
 
     A limb may touch its parent, and its siblings at about the same place, until it is out
-    of the joint. A pair (i, i) is a limb that comes back to itself.
+    of the joint. A pair (i, i) is a limb that comes back to itself. `only`: a mask of limbs
+    of which at least one must be in a pair.
     """
-    c = capsules(skeleton)
-    i, j = _near(c, clear)
+    carrier, foot = skeleton.carrier, skeleton.points[skeleton.first]
+    own, thick = skeleton.radius[skeleton.first], np.zeros(len(foot))
+    joints = skeleton.joints
+    thick[joints.limb] = skeleton.splines.thickness(joints.interval, joints.t)
+    zone = ZONE * (own + thick)  # of each limb, from its foot
+    c = capsules(skeleton, zone)
+    i, j = _near(c, clear, None if only is None else only[c.limb])
     gap = segment_distance(c.a[i], c.b[i], c.a[j], c.b[j])
     hit = gap < clear * (c.radius[i] + c.radius[j])
     i, j = i[hit], j[hit]
-    carrier, start, foot, thick = _joint_data(skeleton)
-    own = skeleton.radius[skeleton.first]
-    zone = ZONE * (own + thick)  # of each limb, from its foot
     p, q = c.limb[i], c.limb[j]
     last = np.zeros(len(c.limb), dtype=bool)
     last[np.append(np.flatnonzero(np.diff(c.limb)), len(c.limb) - 1)] = True
@@ -89,39 +98,35 @@ def colliding(skeleton: "Skeleton", clear: float = CLEAR) -> Array:
     return np.unique(pairs, axis=0) if len(pairs) else np.zeros((0, 2), dtype=int)
 
 
-def _joint_data(skeleton: "Skeleton") -> tuple[Array, Array, Array, Array]:
-    """Return for each limb: parent, arc on it, foot (3), radius of the parent there."""
-    joints, many = skeleton.joints, len(skeleton.first)
-    arc, thick = np.zeros(many), np.zeros(many)
-    arc[joints.limb] = joints.arc
-    thick[joints.limb] = skeleton.splines.thickness(joints.interval, joints.t)
-    return skeleton.carrier, arc, skeleton.points[skeleton.first], thick
-
-
-def _near(c: Capsules, clear: float) -> tuple[Array, Array]:
+def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
     """Return pairs of capsules whose bounding balls meet, by classes of size."""
     centre = (c.a + c.b) / 2
     ball = np.linalg.norm(c.b - c.a, axis=1) / 2 + clear * c.radius
-    kind = np.floor(np.log2(ball / ball.min())).astype(int) // 2
+    kind = np.floor(np.log2(ball / ball.min()) / 1.5).astype(int)
     groups = [np.flatnonzero(kind == k) for k in np.unique(kind)]
     trees = [cKDTree(centre[g]) for g in groups]
-    found_i, found_j = [], []
+    found = [np.zeros((2, 0), dtype=int)]
     for a, (g, tree) in enumerate(zip(groups, trees, strict=True)):
-        pairs = tree.query_pairs(2 * ball[g].max(), output_type="ndarray")
-        found_i.append(g[pairs[:, 0]])
-        found_j.append(g[pairs[:, 1]])
-        for h, other in zip(groups[a + 1 :], trees[a + 1 :], strict=True):
-            reach = ball[g].max() + ball[h].max()
-            near = tree.sparse_distance_matrix(other, reach, output_type="ndarray")
-            found_i.append(g[near["i"]])
-            found_j.append(h[near["j"]])
-    i, j = np.concatenate(found_i), np.concatenate(found_j)
-    d = centre[i] - centre[j]
-    meet = np.einsum("ij,ij->i", d, d) < (ball[i] + ball[j]) ** 2
-    i, j = i[meet], j[meet]
+        if only is None:
+            pairs = tree.query_pairs(2 * ball[g].max(), output_type="ndarray")
+            found.append(g[pairs.T])
+            mine, seek = g, tree
+        else:
+            mine = g[only[g]]
+            if not len(mine):
+                continue
+            seek = cKDTree(centre[mine])
+        for h, other in list(zip(groups, trees, strict=True))[a + 1 if only is None else 0 :]:
+            reach = ball[mine].max() + ball[h].max()
+            near = seek.sparse_distance_matrix(other, reach, output_type="ndarray")
+            found.append(np.stack([mine[near["i"]], h[near["j"]]]))
+    i, j = np.concatenate(found, axis=1)
     # neighbours on one limb always touch
     apart = (c.limb[i] != c.limb[j]) | (np.abs(i - j) > 2)
-    return i[apart], j[apart]
+    i, j = i[apart], j[apart]
+    d = centre[i] - centre[j]
+    meet = np.einsum("ij,ij->i", d, d) < (ball[i] + ball[j]) ** 2
+    return i[meet], j[meet]
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
@@ -149,18 +154,16 @@ def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 def without_collisions(skeleton: S, tries: int) -> S:
     """Return what `Skeleton.without_collisions` says."""
-    turned = skeleton
+    turned, moved = skeleton, None
     for attempt in range(tries + 1):
-        pairs = colliding(turned)
+        pairs = colliding(turned, only=moved)
         if not len(pairs):
             break
         victims = _victims(turned, pairs)
         if attempt < tries:
-            turned = _rolled(turned, victims, GOLDEN)
+            turned, moved = _rolled(turned, victims, GOLDEN)
         else:
-            turned = without(turned, victims)
-            while len(pairs := colliding(turned)):
-                turned = without(turned, _victims(turned, pairs))
+            turned = without(turned, victims)  # of every pair one: none is left
     gone = len(skeleton.first) - len(turned.first)
     return turned.with_note(f"{gone} that ran through others dropped") if gone else turned
 
@@ -196,8 +199,8 @@ def _victims(skeleton: "Skeleton", pairs: Array) -> Array:
     return out
 
 
-def _rolled(skeleton: S, limbs: Array, angle: float) -> S:
-    """Return the skeleton with limbs turned about their parents' axes at their feet."""
+def _rolled(skeleton: S, limbs: Array, angle: float) -> tuple[S, Array]:
+    """Turn limbs about their parents' axes at their feet; (skeleton, limbs that moved)."""
     top = np.full(len(limbs), -1)  # the limb with which each one turns
     for i, p in enumerate(skeleton.carrier.tolist()):
         above = top[p] if p >= 0 else -1
@@ -214,4 +217,6 @@ def _rolled(skeleton: S, limbs: Array, angle: float) -> S:
     along = np.einsum("ij,ij->i", k, v)[:, None]
     points = skeleton.points.copy()
     points[move] = foot + c * v + s * np.cross(k, v) + (1 - c) * along * k
-    return replace(skeleton, points=points)
+    out = skeleton.trusted(points=points)
+    out.__dict__["joints"] = joints  # a turn about its parent's axis moves no foot
+    return out, top >= 0

@@ -5,7 +5,7 @@ its radius as a monotone cubic. Here are the same curves for all limbs of a skel
 banded solve, so that what is checked is what is swept, at a thousandth of a second a plant.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -27,6 +27,14 @@ class Splines:
     arc: Array  # (n,) chord length from the limb's start [m]
     bend: Array  # (n, 3) second derivative by chord length [1/m]
     slope: Array  # (n,) derivative of the radius by chord length
+
+    def with_radius(self, radius: Array) -> "Splines":
+        """Return the same axes with other radii (n,) [m]."""
+        h = np.append(np.diff(self.arc), 0.0)
+        h[self.last] = 0.0
+        back = np.append(0.0, h[:-1])
+        slope = _slopes(radius, back, h, self.first, self.last)
+        return replace(self, radius=radius, slope=slope)
 
     def at(self, interval: Array, t: Array) -> Array:
         """Return points (..., 3) at the fractions t of intervals."""
@@ -89,7 +97,7 @@ class Splines:
         By Gauss-Newton from the arcs given, which must be near.
         """
         full = self.arc[self.last[limb]]
-        for _ in range(6):
+        for _ in range(4):
             i, t = self.locate(limb, arc)
             d = self.velocity(i, t)
             step = ((x - self.at(i, t)) * d).sum(axis=-1) / (d * d).sum(axis=-1)
@@ -109,12 +117,8 @@ def splines(points: Array, radius: Array, first: Array) -> Splines:
     """Return the natural splines through nodes (n, 3), limbs starting at `first`."""
     n = len(points)
     last = np.append(first[1:], n) - 1
-    step = np.zeros(n)  # of the interval that ends at a node; 0 at a limb's start
     way = np.diff(points, axis=0)
-    step[1:] = np.sqrt(np.einsum("ij,ij->i", way, way))
-    step[first] = 0.0
-    total = np.cumsum(step)
-    arc = total - np.repeat(total[first], last - first + 1)
+    arc, step = arcs(points, first)
 
     ends = np.zeros(n, dtype=bool)
     ends[first] = ends[last] = True
@@ -131,6 +135,17 @@ def splines(points: Array, radius: Array, first: Array) -> Splines:
     right[ends] = 0.0
     bend = solve_banded((1, 1), band, right, check_finite=False)
     return Splines(points, radius, first, last, arc, bend, _slopes(radius, step, h, first, last))
+
+
+def arcs(points: Array, first: Array) -> tuple[Array, Array]:
+    """Return chord lengths from each limb's start, and of the interval before a node."""
+    step = np.zeros(len(points))
+    way = np.diff(points, axis=0)
+    step[1:] = np.sqrt(np.einsum("ij,ij->i", way, way))
+    step[first] = 0.0
+    total = np.cumsum(step)
+    size = np.diff(np.append(first, len(points)))
+    return total - np.repeat(total[first], size), step
 
 
 def _slopes(r: Array, back: Array, ahead: Array, first: Array, last: Array) -> Array:

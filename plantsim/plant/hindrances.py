@@ -70,12 +70,19 @@ def leaves(skeleton: "Skeleton") -> Array:
     reach = axes.arc[skeleton.last[joints.limb]]
     out = np.ones(len(up), dtype=bool)
     # a limb longer than that is out, or runs into its parent, which is a collision
-    for k in np.flatnonzero(reach < 12 * axes.radius[axes.first[up]]):
-        nodes = slice(axes.first[up[k]], axes.last[up[k]] + 1)
-        near = axes.points[nodes] - tip[k]
-        arc = axes.arc[nodes][(near * near).sum(axis=1).argmin()]
-        _, i, t, far = axes.nearest(up[k : k + 1], np.array([arc]), tip[k : k + 1])
-        out[k] = far[0] > axes.thickness(i, t)[0]
+    k = np.flatnonzero(reach < 12 * axes.radius[axes.first[up]])
+    if not len(k):
+        return out
+    size = axes.last[up[k]] - axes.first[up[k]] + 1
+    begin = np.cumsum(size) - size
+    node = np.arange(size.sum()) + np.repeat(axes.first[up[k]] - begin, size)
+    away = axes.points[node] - np.repeat(tip[k], size, axis=0)
+    far = np.einsum("ij,ij->i", away, away)
+    best = np.repeat(np.minimum.reduceat(far, begin), size) == far
+    hit = np.flatnonzero(best)
+    arc = axes.arc[node[hit[np.searchsorted(hit, begin)]]]
+    _, i, t, gap = axes.nearest(up[k], arc, tip[k])
+    out[k] = gap > axes.thickness(i, t)
     return out
 
 

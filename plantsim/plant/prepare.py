@@ -1,6 +1,5 @@
 """From any skeleton to one that can be meshed: cut, eased, joined, cleared."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
@@ -34,14 +33,14 @@ def prepared(skeleton: S, *, min_radius: float, max_limbs: int, forks: Forks) ->
         drop[tall] = False
         out = without(out, drop).with_note(f"1 of {len(trunks)} trunks kept, the longest")
     out = pruned(out, min_radius, int(SPARE * max_limbs) + 2, None)
-    out = replace(out, note=skeleton.note)  # told once, at the end
     out = rebuilt(out, out.points, out.radius, out.first)
     out = smoothed(out, EASY)
     out = area_conserving(out) if forks == "area" else out
     out = capped(out, min_radius)
     out = _without_stubs(out)
-    out = without_collisions(replace(out, note=""), 3)
-    clashes, out = out.note, replace(out, note=skeleton.note)
+    before = len(out.first)
+    out = without_collisions(out, 1)
+    clashes = before - len(out.first)
     if len(out.first) > max_limbs:
         out = pruned(out, 0.0, max_limbs, None)
     if (worst_bend(out.splines) >= EASY + 0.1).any():  # radii rose at a fork
@@ -49,11 +48,10 @@ def prepared(skeleton: S, *, min_radius: float, max_limbs: int, forks: Forks) ->
     gone = len(skeleton.first) - len(out.first)
     note = (
         f"{gone} of {len(skeleton.first)} limbs left out (thinner than "
-        f"{1e3 * min_radius:.2g} mm, beyond the {max_limbs} thickest, or too short"
-        f"{'; ' + clashes if clashes else ''})"
+        f"{1e3 * min_radius:.2g} mm, beyond the {max_limbs} thickest, or too short; "
+        f"{clashes} of them for running through others)"
     )
-    out = replace(
-        out,
+    out = out.trusted(
         points=np.round(out.points, 9),  # so that all machines agree
         radius=np.round(out.radius, 10),
         note=skeleton.note,
@@ -85,7 +83,10 @@ def capped(skeleton: S, least: float = 0.0) -> S:
         thin = radius * factor[skeleton.limb]
         floor = np.minimum(np.minimum(least, radius), limit[skeleton.limb])
         radius = np.maximum(thin, floor)
-    return replace(skeleton, radius=radius)
+    out = skeleton.trusted(radius=radius)
+    out.__dict__["joints"] = joints
+    out.__dict__["splines"] = skeleton.splines.with_radius(radius)
+    return out
 
 
 def area_conserving(skeleton: S, power: float = 2.0) -> S:
@@ -110,7 +111,7 @@ def area_conserving(skeleton: S, power: float = 2.0) -> S:
         if slot[i] >= 0:
             need[slot[i]] += power_at[first[i]]
     grown = power_at ** (1 / power)
-    return replace(out, radius=grown * (axes.radius[0] / grown[0]))
+    return out.trusted(radius=grown * (axes.radius[0] / grown[0]))
 
 
 def _with_joint_nodes(skeleton: "Skeleton") -> tuple[Array, Array, Array, Array]:

@@ -1,6 +1,5 @@
 """Fewer limbs: cut where thin, the thickest only, whole subtrees dropped."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -30,7 +29,7 @@ def pruned(
     thin = np.where(skeleton.radius < min_radius, place, len(limb))
     cut = np.minimum(np.minimum.reduceat(thin, first), last - first + 1)
     points, radius = skeleton.points.copy(), skeleton.radius.copy()
-    arc = skeleton.splines.arc
+    arc = skeleton.arc
     reach = arc[last].copy()
 
     short = np.flatnonzero((cut > 0) & (cut <= last - first))
@@ -46,9 +45,7 @@ def pruned(
     good = (size >= 2) & ((reach >= STUB * radius[first]) | (skeleton.carrier < 0))
     if levels is not None:
         good &= skeleton.level < levels
-    start = np.zeros(len(first))
-    start[skeleton.joints.limb] = skeleton.joints.arc
-    kept = _standing(skeleton, good, start, reach)
+    kept = _standing(skeleton, good, _feet(skeleton), reach)
     if not kept[skeleton.carrier < 0].any():
         raise GeometryError(
             f"pruned: nothing of the trunk (radius {skeleton.radius[0]:.2g} m) is left above "
@@ -57,7 +54,9 @@ def pruned(
     thick = kept.copy()
     if max_limbs is not None and kept.sum() > max_limbs:
         thick = _thickest(skeleton, kept, max_limbs)
-    out = picked(replace(skeleton, points=points, radius=radius), thick, place < size[limb])
+    out = picked(
+        skeleton.trusted(points=points, radius=radius), thick, place < size[limb]
+    )
     notes = []
     if not kept.all():
         notes.append(
@@ -67,6 +66,21 @@ def pruned(
     if (kept & ~thick).any():
         notes.append(f"{(kept & ~thick).sum()} beyond the {max_limbs} thickest left out")
     return out.with_note(*notes)
+
+
+def _feet(skeleton: "Skeleton") -> Array:
+    """Return arcs [m] along their parents at which limbs start, (limbs,), by the chords."""
+    p, arc = skeleton.points, skeleton.arc
+    out = np.zeros(len(skeleton.first))
+    mine = np.flatnonzero(skeleton.carrier >= 0)
+    foot = skeleton.first[mine]
+    node = skeleton.parent[foot]
+    after = np.minimum(node + 1, skeleton.last[skeleton.carrier[mine]])
+    way = p[after] - p[node]
+    size = np.maximum((way * way).sum(axis=1), 1e-30)
+    t = np.clip(((p[foot] - p[node]) * way).sum(axis=1) / size, 0, 1)
+    out[mine] = arc[node] + t * (arc[after] - arc[node])
+    return out
 
 
 def _standing(skeleton: "Skeleton", good: Array, start: Array, reach: Array) -> Array:
@@ -99,8 +113,7 @@ def picked(skeleton: S, limbs: Array, nodes: Array | None = None) -> S:
     parent = skeleton.parent[keep]
     # a joint that lay just before a cut hangs on the last node that stays
     safe = np.minimum(new[np.maximum(parent, 0)], np.arange(len(parent)) - 1)
-    return replace(
-        skeleton,
+    return skeleton.trusted(
         points=skeleton.points[keep],
         radius=skeleton.radius[keep],
         parent=np.where(parent < 0, -1, safe),

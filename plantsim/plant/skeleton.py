@@ -1,9 +1,9 @@
 """Skeleton: a rooted tree of limbs, each a polyline with radii."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from plantsim.arrays import Array, few, frozen
 from plantsim.errors import GeometryError
 from plantsim.plant import bends, collisions, hindrances, prepare, prune
-from plantsim.plant.curves import Splines, splines
+from plantsim.plant.curves import Splines, arcs, splines
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Skeleton:
                 "limb: labels must be 0, 1, 2, ... with the nodes of a limb together. "
                 "Build with Skeleton.from_limbs."
             )
-        inner = np.setdiff1d(np.arange(n), starts)
+        inner = np.flatnonzero(~rooted)
         broken = inner[parent[inner] != inner - 1]
         if broken.size:
             raise GeometryError(
@@ -263,6 +263,11 @@ class Skeleton:
         return out
 
     @cached_property
+    def arc(self) -> Array:
+        """Length [m] along each node's limb, by chords from its start, (n,)."""
+        return arcs(self.points, self.first)[0]
+
+    @cached_property
     def splines(self) -> Splines:
         """The limbs' smooth axes, as the sweep lays them through the nodes."""
         return splines(self.points, self.radius, self.first)
@@ -292,7 +297,7 @@ class Skeleton:
     @property
     def length(self) -> float:
         """Length [m] of all limbs together."""
-        return float(self.splines.arc[self.last].sum())
+        return float(self.arc[self.last].sum())
 
     def with_radius(self, radius: ArrayLike) -> Self:
         """Return the same skeleton with other radii, (n,) or a scalar [m]."""
@@ -300,7 +305,20 @@ class Skeleton:
 
     def with_note(self, *notes: str) -> Self:
         """Return the same skeleton with words added to its note."""
-        return replace(self, note="; ".join(t for t in (self.note, *notes) if t))
+        out = self.trusted()
+        out.__dict__.update(self.__dict__)  # what is computed stays true
+        out.__dict__["note"] = "; ".join(t for t in (self.note, *notes) if t)
+        return out
+
+    def trusted(self, **values: Any) -> Self:
+        """Return a copy with some fields replaced, unchecked: for kernels, not for users."""
+        out = object.__new__(type(self))
+        for f in fields(self):
+            value = values.get(f.name, getattr(self, f.name))
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+            out.__dict__[f.name] = value
+        return out
 
     def scaled(self, factor: float) -> Self:
         """Return the skeleton with all lengths and radii multiplied, about the root."""
