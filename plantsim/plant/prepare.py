@@ -20,8 +20,19 @@ CAP = 0.85  # a child's radius over its parent's where it starts
 SPARE = 1.3  # limbs kept until it is known which of them collide
 
 
-def prepared(skeleton: S, *, min_radius: float, max_limbs: int, forks: Forks) -> S:
-    """Return what `Skeleton.ready` says."""
+def prepared(
+    skeleton: S,
+    min_radius: float,
+    max_limbs: int,
+    forks: Forks,
+    known: int | None = None,
+    deeper: str = "",
+) -> S:
+    """Return what `Skeleton.ready` says.
+
+    `known`: how many limbs there were before some were spared, and `deeper` what else there
+    would be, for the note.
+    """
     if forks not in ("model", "area"):
         raise GeometryError(f"forks is {forks!r}; give 'model' or 'area'.")
     out = skeleton
@@ -45,18 +56,19 @@ def prepared(skeleton: S, *, min_radius: float, max_limbs: int, forks: Forks) ->
         out = pruned(out, 0.0, max_limbs, None)
     if (worst_bend(out.splines) >= EASY + 0.1).any():  # radii rose at a fork
         out = smoothed(out, EASY)
-    gone = len(skeleton.first) - len(out.first)
+    total = len(skeleton.first) if known is None else known
+    gone = total - len(out.first)
     note = (
-        f"{gone} of {len(skeleton.first)} limbs left out (thinner than "
-        f"{1e3 * min_radius:.2g} mm, beyond the {max_limbs} thickest, or too short; "
-        f"{clashes} of them for running through others)"
+        f"{deeper + ' and ' if deeper else ''}{gone} of {total} limbs left out: thinner than "
+        f"{1e3 * min_radius:.2g} mm, beyond the {max_limbs} thickest, or short"
+        f"{f'; {clashes} for running through others' if clashes else ''}"
     )
     out = out.trusted(
         points=np.round(out.points, 9),  # so that all machines agree
         radius=np.round(out.radius, 10),
         note=skeleton.note,
     )
-    return out.with_note(note) if gone else out
+    return out.with_note(note) if gone or deeper else out
 
 
 def capped(skeleton: S, least: float = 0.0) -> S:

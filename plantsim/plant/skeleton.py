@@ -381,7 +381,7 @@ class Skeleton:
         `note` says what was left out.
         """
         thin = 0.02 * float(self.radius[0]) if min_radius is None else min_radius
-        return prepare.prepared(self, min_radius=thin, max_limbs=max_limbs, forks=forks)
+        return prepare.prepared(self, thin, max_limbs, forks)
 
     def __repr__(self) -> str:
         assert self.level is not None

@@ -7,6 +7,7 @@ Names in comments are those of Weber and Penn 1995; "the program" is tree-gen.
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -48,6 +49,7 @@ class Stems:
     bend: Array  # (m, segments + 1, 3) second derivative of the curve through them
     side: Array  # (m, segments, 3) local y of each segment
     helix: "Helix | None" = None
+    spared: int = 0  # stems of this level that got no course, see `grow_level`
 
     def at(self, row: Array, t: Array) -> tuple[Array, Array]:
         """Return points and tangents (.., 3) of stems at t in segments from the foot."""
@@ -192,7 +194,7 @@ class _Splits:
     def walk(self, row: int, start: int, chance: float, factor: float) -> None:
         """Split a stem along its segments; error diffusion carries fractions on."""
         m, share = self.model, self.share[row]
-        gain = factor * (1.0 if m.published else 1 - start / self.segments)
+        gain = factor if m.published else factor * (1 - start / self.segments)
         for s in range(start + 1, self.segments + 1):
             clones = 0
             base = self.based and s == self.first
@@ -211,6 +213,8 @@ class _Splits:
                     factor = max(0.8, factor / (clones + 1))
                     gain *= factor
             share[s - 1] = gain
+            if clones and m.published:  # together they carry nBranches children
+                gain = factor = gain / (clones + 1)
             if clones and s < self.segments:
                 self.at[row, s] = clones
                 for j in range(clones):
@@ -225,11 +229,14 @@ def grow_level(
     start: Array,
     frames: Frames,
     seed: Stems,
+    wanted: Array | None = None,
 ) -> Stems:
     """Return the stems of a level from where they begin.
 
     `start` (m, 3) [m] and `frames` (m): feet and first directions. `seed`: the stems with
-    everything but splits and nodes.
+    everything but splits and nodes. `wanted`: a mask of stems that are worth a course, for
+    a level that neither splits nor bears another; the others are left out, but the random
+    draws are the same.
     """
     n = min(level, LEVELS - 1)
     segments = max(1, int(m.curve_res[n]))
@@ -262,38 +269,50 @@ def grow_level(
     )
     if m.curve_v[n] < 0:
         return _wound(m, rng, stems, start, frames)
-    ways = _directions(m, rng, stems, frames, split)
+    noise = rng.uniform(-1, 1, (4, len(rows), segments))
+    if wanted is not None and split is None:
+        spared = int((~wanted).sum())
+        stems = replace(stems, side=stems.share, spared=spared)
+        stems = picked_stems(stems, wanted, np.cumsum(wanted) - 1)
+        start, frames, noise = start[wanted], frames.picked(wanted), noise[:, wanted]
+        many, rows = len(start), rows[wanted]
+    ways = _directions(m, noise, stems, frames, split)
     stems = replace(stems, side=ways.y)
     keep = np.ones(len(rows), dtype=bool)
     if m.prune_ratio > 0:
         stems, keep = _fitted(m, stems, start, ways.z)
     if not keep.all():
-        new = np.cumsum(keep) - 1
-        origin = stems.origin[keep]
-        stems = _picked(stems, keep, np.where(origin < 0, -1, new[origin]))
+        stems = picked_stems(stems, keep, np.cumsum(keep) - 1)
         ways = ways.picked(keep)
         start = start[keep[:many]]
     return _placed(stems, start, ways.z)
 
 
-def _picked(stems: Stems, keep: Array, origin: Array) -> Stems:
-    names = ("parent", "offset", "whole", "size", "longest", "base", "height", "start")
-    more = ("share", "side")
-    return replace(
-        stems, origin=origin, **{k: getattr(stems, k)[keep] for k in (*names, *more)}
-    )
+def picked_stems(stems: Stems, keep: Array, new: Array, up: Array | None = None) -> Stems:
+    """Return the stems in a mask; `new` and `up`: new rows of origins and of parents."""
+    names = ["parent", "offset", "whole", "size", "longest", "base", "height", "start"]
+    names += ["origin", "share", "side", *(("nodes", "bend") if stems.nodes.size else ())]
+    values: dict[str, Any] = {k: getattr(stems, k)[keep] for k in names}
+    values["origin"] = np.where(values["origin"] < 0, -1, new[values["origin"]])
+    if up is not None:
+        values["parent"] = np.where(values["parent"] < 0, -1, up[values["parent"]])
+    if stems.helix is not None:
+        h = stems.helix
+        values["helix"] = Helix(
+            h.foot[keep], h.frames.picked(keep), h.rise[keep], h.radius[keep], h.phase[keep]
+        )
+    return replace(stems, **values)
 
 
 def _directions(
     m: WeberPenn,
-    rng: np.random.Generator,
+    noise: Array,
     stems: Stems,
     frames: Frames,
     split: _Splits | None,
 ) -> Frames:
     """Return the frame of every segment, (rows, segments, 3) each of x, y, z."""
     n, segments, total = min(stems.level, LEVELS - 1), stems.segments, len(stems.start)
-    noise = rng.uniform(-1, 1, (4, total, segments))
     out = Frames(*(np.zeros((total, segments, 3)) for _ in range(3)))
     now = Frames(*(np.zeros((total, 3)) for _ in range(3)))
     now.put(np.arange(len(frames.z)), frames)

@@ -5,7 +5,7 @@ the reference program tree-gen does otherwise stands in docs/plants.md and hangs
 `WeberPenn.rules`.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,15 @@ from plantsim.plant.frames import Frames, about_x, about_y, about_z, on_tangent
 from plantsim.plant.parameters import LEVELS, WeberPenn, species
 from plantsim.plant.prepare import Forks, prepared
 from plantsim.plant.skeleton import Skeleton
-from plantsim.plant.stems import MOST, Stems, grow_level, radius_at, rolled, shape_ratio
+from plantsim.plant.stems import (
+    MOST,
+    Stems,
+    grow_level,
+    picked_stems,
+    radius_at,
+    rolled,
+    shape_ratio,
+)
 
 THINNEST = 1e-6  # m; where the model's radius vanishes
 
@@ -58,15 +66,69 @@ def weber_penn(
         raise GeometryError(
             f"levels is {levels!r}: give a whole number from 1 (trunk alone) to 8."
         )
-    full = _joined(model, grown(model, generator(rng), depth))
     if not ready:
-        return full
+        return _joined(model, grown(model, generator(rng), depth))
+    floor = -1.0 if min_radius is None else min_radius
+    stems = grown(model, generator(rng), depth, _Wanted(floor, 2 * max_limbs))
+    known = sum(len(level.whole) for level in stems) + stems[-1].spared
+    full = _joined(model, _thick(stems, _Wanted(floor, 2 * max_limbs)))
     thin = max(5e-4, 0.02 * full.radius[0]) if min_radius is None else min_radius
-    return prepared(full, min_radius=thin, max_limbs=max_limbs, forks=forks)
+    deeper = depth if len(stems) < depth and model.branches[min(len(stems), 3)] else 0
+    return prepared(
+        full, thin, max_limbs, forks, known, f"level {len(stems)}" if deeper else ""
+    )
 
 
-def grown(m: WeberPenn, rng: np.random.Generator, levels: int) -> list[Stems]:
-    """Return the stems that the model grows, level by level."""
+@dataclass(frozen=True)
+class _Wanted:
+    """Which stems a mesh will want, so that the others need no course."""
+
+    min_radius: float  # m; below 0: 2 % of the trunk's
+    most: int
+
+    def floor(self, levels: list[Stems], *more: Array) -> float:
+        """Return the radius [m] at its foot below which no stem will be wanted."""
+        sizes = np.concatenate([*(s.size for s in levels), *more])
+        thin = self.min_radius
+        thin = max(5e-4, 0.02 * float(levels[0].size[0])) if thin < 0 else thin
+        if len(sizes) <= self.most:
+            return thin
+        return max(thin, float(np.partition(sizes, -self.most)[-self.most]))
+
+
+def _thick(levels: list[Stems], wanted: _Wanted) -> list[Stems]:
+    """Return the stems whose foot is thick enough, and those that carry them."""
+    floor, out = wanted.floor(levels), []
+    below = np.ones(1, dtype=bool)
+    for stems in levels:
+        keep = stems.size >= floor
+        keep &= below[stems.parent] if stems.level else True
+        for i in np.flatnonzero(stems.origin >= 0):
+            keep[i] &= keep[stems.origin[i]]
+        if not keep.any():
+            break
+        new = np.append(np.cumsum(keep) - 1, -1)
+        up = np.append(np.cumsum(below) - 1, -1) if stems.level else new
+        out.append(picked_stems(stems, keep, new, up))
+        below = keep
+    return out
+
+
+def _bound(m: WeberPenn, stems: Stems) -> float:
+    """Return a radius [m] that no child of these stems exceeds at its foot."""
+    n = min(stems.level + 1, LEVELS - 1)
+    size = m.radius_mod[n] * stems.size * stems.longest**m.ratio_power
+    return float(np.minimum(size if m.published else np.maximum(size, 0.005), stems.size).max())
+
+
+def grown(
+    m: WeberPenn, rng: np.random.Generator, levels: int, wanted: _Wanted | None = None
+) -> list[Stems]:
+    """Return the stems that the model grows, level by level.
+
+    With `wanted`, a level that bears none of those ends the growth, and those of the last
+    level that are not get no course; the others are as they are in the whole plant.
+    """
     trunks = max(1, int(m.branches[0]))
     roll = rng.uniform(0, 2 * np.pi, trunks)
     girth = m.scale0 + m.scale0_v * rng.uniform(-1, 1, trunks)
@@ -81,11 +143,17 @@ def grown(m: WeberPenn, rng: np.random.Generator, levels: int) -> list[Stems]:
     seed = _with(seed, base=np.minimum(bare, 0.99 * length), height=height)
     out = [grow_level(m, rng, 0, start, about_z(Frames(*eye), roll), seed)]
     while len(out) < levels:
-        above = out[-2] if len(out) > 1 else None
-        born = _children(m, rng, out[-1], above)
+        if wanted is not None and _bound(m, out[-1]) < wanted.floor(out):
+            break
+        born = _children(m, rng, out[-1], out[-2] if len(out) > 1 else None)
         if born is None:
             break
-        out.append(grow_level(m, rng, len(out), *born))
+        mask = None
+        if wanted is not None and len(out) + 1 == levels:
+            mask = born[2].size >= wanted.floor(out, born[2].size)
+            if not mask.any():
+                break
+        out.append(grow_level(m, rng, len(out), *born, mask))
     return out
 
 
