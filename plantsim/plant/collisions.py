@@ -169,9 +169,17 @@ def without_collisions(skeleton: S, tries: int) -> S:
 
 
 def _victims(skeleton: "Skeleton", pairs: Array) -> Array:
-    """Return a mask of limbs without which no pair collides: the thinner ones."""
+    """Return a mask of limbs without which no pair collides, few and light ones.
+
+    A limb that runs along what carries it must go. Of the others goes, one after the other,
+    the one that settles most pairs for the limbs that go with it, the thinnest of equals.
+    """
     base = skeleton.radius[skeleton.first].tolist()
     carrier = skeleton.carrier.tolist()
+    cost = [1] * len(base)  # limbs that go when one goes
+    for i in range(len(base) - 1, 0, -1):
+        if carrier[i] >= 0:
+            cost[carrier[i]] += cost[i]
     out = np.zeros(len(base), dtype=bool)
 
     def below(i: int, j: int) -> bool:  # whether j carries i, at any remove
@@ -184,16 +192,20 @@ def _victims(skeleton: "Skeleton", pairs: Array) -> Array:
             i = carrier[i]
         return i >= 0
 
-    order = np.argsort([-min(base[i], base[j]) for i, j in pairs], kind="stable")
-    for i, j in pairs[order].tolist():
-        if gone(i) or gone(j):
-            continue
+    open_ = []
+    for i, j in pairs.tolist():
         if below(i, j):
             out[i] = True
         elif below(j, i):
             out[j] = True
         else:
-            out[i if base[i] < base[j] else j] = True
+            open_.append((i, j))
+    while open_ := [(i, j) for i, j in open_ if not (gone(i) or gone(j))]:
+        hits: dict[int, int] = {}
+        for pair in open_:
+            for i in pair:
+                hits[i] = hits.get(i, 0) + 1
+        out[max(hits, key=lambda i: (hits[i] / cost[i], -base[i], i))] = True
     if out[0]:  # a trunk that meets itself cannot be dropped
         out[0] = False
     return out

@@ -3,11 +3,12 @@
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from plantsim.arrays import Array
 from plantsim.errors import GeometryError
 from plantsim.plant.bends import EASY, rebuilt, smoothed, worst_bend
-from plantsim.plant.collisions import without_collisions
+from plantsim.plant.collisions import ZONE, without_collisions
 from plantsim.plant.hindrances import leaves
 from plantsim.plant.prune import STUB, pruned, without
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound="Skeleton")
 Forks = Literal["model", "area"]
 CAP = 0.85  # a child's radius over its parent's where it starts
+NARROW = 22.0  # degrees; a limb that leaves at less hugs its parent
 SPARE = 1.3  # limbs kept until it is known which of them collide
 
 
@@ -45,7 +47,7 @@ def prepared(
         out = without(out, drop).with_note(f"1 of {len(trunks)} trunks kept, the longest")
     out = pruned(out, min_radius, int(SPARE * max_limbs) + 2, None)
     out = rebuilt(out, out.points, out.radius, out.first)
-    out = smoothed(out, EASY)
+    out = opened(smoothed(out, EASY))
     out = area_conserving(out) if forks == "area" else out
     out = capped(out, min_radius)
     out = _without_stubs(out)
@@ -69,6 +71,49 @@ def prepared(
         note=skeleton.note,
     )
     return out.with_note(note) if gone or deeper else out
+
+
+def opened(skeleton: S, least: float = NARROW) -> S:
+    """Return the skeleton with limbs tipped until they leave at `least` degrees or more.
+
+    The angle is between the chords of limb and parent over the reach of their joint. A limb
+    moves with all that it carries.
+    """
+    axes, joints = skeleton.splines, skeleton.joints
+    if not len(joints.limb):
+        return skeleton
+    up = skeleton.carrier[joints.limb]
+    foot = axes.at(joints.interval, joints.t)
+    thick = axes.thickness(joints.interval, joints.t)
+    reach = ZONE * (thick + skeleton.radius[skeleton.first[joints.limb]])
+    mine = axes.at(*axes.locate(joints.limb, reach)) - foot
+    ahead = np.minimum(joints.arc + reach, axes.arc[axes.last[up]])
+    way = axes.at(*axes.locate(up, ahead)) - foot
+    tip = ahead - joints.arc < 0.5 * reach  # at the parent's tip: along its last stretch
+    way[tip] = axes.velocity(joints.interval, joints.t)[tip]
+    axis = np.cross(way, mine)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.degrees(np.arctan2(sine, np.einsum("ij,ij->i", way, mine)))
+    tilt = np.zeros(len(skeleton.first))
+    tilt[joints.limb] = np.radians(np.maximum(0.0, least - angle))
+    turn = np.zeros((len(tilt), 3))
+    turn[joints.limb] = axis / np.maximum(sine, 1e-12)[:, None]
+    if not (tilt > 1e-9).any():
+        return skeleton
+    matrix = Rotation.from_rotvec(tilt[:, None] * turn).as_matrix()
+    old = skeleton.points[skeleton.first]
+    new = old.copy()
+    depth = skeleton.depth
+    for level in range(1, int(depth.max()) + 1):
+        rows = np.flatnonzero(depth == level)
+        p = skeleton.carrier[rows]
+        new[rows] = new[p] + np.einsum("ijk,ik->ij", matrix[p], old[rows] - old[p])
+        matrix[rows] = matrix[p] @ matrix[rows]
+    limb = skeleton.limb
+    points = new[limb] + np.einsum("ijk,ik->ij", matrix[limb], skeleton.points - old[limb])
+    out = skeleton.trusted(points=points)
+    out.__dict__["joints"] = joints
+    return out
 
 
 def capped(skeleton: S, least: float = 0.0) -> S:
