@@ -37,13 +37,13 @@ if TYPE_CHECKING:
     from plantsim.mesh.files import read_mesh as read_mesh
     from plantsim.mesh.files import write_mesh as write_mesh
     from plantsim.mesh.tetmesh import TetMesh as TetMesh
+    from plantsim.plant.parameters import WeberPenn as WeberPenn
+    from plantsim.plant.parameters import species as species
     from plantsim.plant.simple import fork as fork
     from plantsim.plant.simple import straight as straight
     from plantsim.plant.simple import tapered as tapered
     from plantsim.plant.skeleton import Limb as Limb
     from plantsim.plant.skeleton import Skeleton as Skeleton
-    from plantsim.plant.parameters import WeberPenn as WeberPenn
-    from plantsim.plant.parameters import species as species
     from plantsim.plant.weber_penn import weber_penn as weber_penn
     from plantsim.solid.sweep import Solid as Solid
     from plantsim.solid.sweep import sweep as sweep

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
 from plantsim.plant.prune import without
@@ -104,7 +104,7 @@ def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
     ball = np.linalg.norm(c.b - c.a, axis=1) / 2 + clear * c.radius
     kind = np.floor(np.log2(ball / ball.min()) / 1.5).astype(int)
     groups = [np.flatnonzero(kind == k) for k in np.unique(kind)]
-    trees = [cKDTree(centre[g]) for g in groups]
+    trees = [KDTree(centre[g]) for g in groups]
     found = [np.zeros((2, 0), dtype=int)]
     for a, (g, tree) in enumerate(zip(groups, trees, strict=True)):
         if only is None:
@@ -115,8 +115,10 @@ def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
             mine = g[only[g]]
             if not len(mine):
                 continue
-            seek = cKDTree(centre[mine])
-        for h, other in list(zip(groups, trees, strict=True))[a + 1 if only is None else 0 :]:
+            seek = KDTree(centre[mine])
+        for h, other in list(zip(groups, trees, strict=True))[
+            a + 1 if only is None else 0 :
+        ]:
             reach = ball[mine].max() + ball[h].max()
             near = seek.sparse_distance_matrix(other, reach, output_type="ndarray")
             found.append(np.stack([mine[near["i"]], h[near["j"]]]))

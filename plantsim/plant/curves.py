@@ -134,7 +134,9 @@ def splines(points: Array, radius: Array, first: Array) -> Splines:
     right[1:] = 6 * (chord[1:] - chord[:-1])
     right[ends] = 0.0
     bend = solve_banded((1, 1), band, right, check_finite=False)
-    return Splines(points, radius, first, last, arc, bend, _slopes(radius, step, h, first, last))
+    return Splines(
+        points, radius, first, last, arc, bend, _slopes(radius, step, h, first, last)
+    )
 
 
 def arcs(points: Array, first: Array) -> tuple[Array, Array]:
@@ -162,7 +164,9 @@ def _slopes(r: Array, back: Array, ahead: Array, first: Array, last: Array) -> A
     d = np.where(same, mean, 0.0)
     two = last - first == 1
     near, far = first, np.minimum(first + 1, len(r) - 1)
-    d[first] = np.where(two, rise[first], _end(ahead[near], ahead[far], rise[near], rise[far]))
+    d[first] = np.where(
+        two, rise[first], _end(ahead[near], ahead[far], rise[near], rise[far])
+    )
     near, far = last - 1, np.maximum(last - 2, 0)
     d[last] = np.where(
         two, rise[last - 1], _end(ahead[near], ahead[far], rise[near], rise[far])

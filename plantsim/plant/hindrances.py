@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, few
 from plantsim.plant.bends import worst_bend
@@ -30,8 +31,8 @@ def hindrances(skeleton: "Skeleton") -> tuple[str, ...]:
     bend = worst_bend(skeleton.splines)
     for i in np.flatnonzero(bend >= BEND):
         found.append(
-            f"limb {names(i)}: radius / bend radius reaches {bend[i]:.2f}, want below {BEND}. "
-            "Ease it: skeleton.smoothed()."
+            f"limb {names(i)}: radius / bend radius reaches {bend[i]:.2f}, want below "
+            f"{BEND}. Ease it: skeleton.smoothed()."
         )
     joints = skeleton.joints
     thick = skeleton.splines.thickness(joints.interval, joints.t)
@@ -45,8 +46,9 @@ def hindrances(skeleton: "Skeleton") -> tuple[str, ...]:
         )
     for k in np.flatnonzero(own > JOINT * thick):
         found.append(
-            f"limb {names(joints.limb[k])}: radius {own[k]:.2g} m where limb {names(up[k])} "
-            f"has {thick[k]:.2g} m, want at most {JOINT} of that. Thin it: skeleton.ready()."
+            f"limb {names(joints.limb[k])}: radius {own[k]:.2g} m where limb "
+            f"{names(up[k])} has {thick[k]:.2g} m, want at most {JOINT} of that. Thin it: "
+            "skeleton.ready()."
         )
     for k in np.flatnonzero(~leaves(skeleton)):
         found.append(
@@ -92,5 +94,5 @@ class _Names:
     def __init__(self, skeleton: "Skeleton") -> None:
         self.skeleton = skeleton
 
-    def __call__(self, limbs: Array | int) -> str:
+    def __call__(self, limbs: ArrayLike) -> str:
         return few(self.skeleton.limbs[i].name for i in np.atleast_1d(limbs))

@@ -206,9 +206,7 @@ def _numbers(name: str, value: Any, least: int, most: int) -> tuple[Any, ...]:
         want = "a finite number" if most == 1 else f"{most} finite numbers"
         each = ", one a level (or one for all)" if most == LEVELS else ""
         raise GeometryError(f"{name} is {value!r}: allowed is {want}{each}.")
-    several = [
-        int(v) if isinstance(v, (int, np.integer)) else float(v) for v in several
-    ]
+    several = [int(v) if isinstance(v, (int, np.integer)) else float(v) for v in several]
     return tuple(several + several[-1:] * (most - len(several)))
 
 

@@ -61,8 +61,8 @@ def prepared(
     total = len(skeleton.first) if known is None else known
     gone = total - len(out.first)
     note = (
-        f"{deeper + ' and ' if deeper else ''}{gone} of {total} limbs left out: thinner than "
-        f"{1e3 * min_radius:.2g} mm, beyond the {max_limbs} thickest, or short"
+        f"{deeper + ' and ' if deeper else ''}{gone} of {total} limbs left out: thinner "
+        f"than {1e3 * min_radius:.2g} mm, beyond the {max_limbs} thickest, or short"
         f"{f'; {clashes} for running through others' if clashes else ''}"
     )
     out = out.trusted(
@@ -201,5 +201,3 @@ def _without_stubs(skeleton: S) -> S:
     drop = np.zeros(len(skeleton.first), dtype=bool)
     drop[joints.limb] = (reach < 1.5 * thick + STUB * own) | ~leaves(skeleton)
     return without(skeleton, drop) if drop.any() else skeleton
-
-

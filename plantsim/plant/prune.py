@@ -14,9 +14,7 @@ S = TypeVar("S", bound="Skeleton")
 STUB = 4.0  # radii of length below which a limb is not worth a tube
 
 
-def pruned(
-    skeleton: S, min_radius: float, max_limbs: int | None, levels: int | None
-) -> S:
+def pruned(skeleton: S, min_radius: float, max_limbs: int | None, levels: int | None) -> S:
     """Return what `Skeleton.pruned` says."""
     if not min_radius >= 0 or (max_limbs is not None and max_limbs < 1):
         raise GeometryError(
@@ -48,15 +46,13 @@ def pruned(
     kept = _standing(skeleton, good, _feet(skeleton), reach)
     if not kept[skeleton.carrier < 0].any():
         raise GeometryError(
-            f"pruned: nothing of the trunk (radius {skeleton.radius[0]:.2g} m) is left above "
-            f"min_radius {min_radius:.2g} m. Lower it."
+            f"pruned: nothing of the trunk (radius {skeleton.radius[0]:.2g} m) is left "
+            f"above min_radius {min_radius:.2g} m. Lower it."
         )
     thick = kept.copy()
     if max_limbs is not None and kept.sum() > max_limbs:
         thick = _thickest(skeleton, kept, max_limbs)
-    out = picked(
-        skeleton.trusted(points=points, radius=radius), thick, place < size[limb]
-    )
+    out = picked(skeleton.trusted(points=points, radius=radius), thick, place < size[limb])
     notes = []
     if not kept.all():
         notes.append(

@@ -77,9 +77,9 @@ class Skeleton:
 
     The nodes of a limb are consecutive, from its start to its tip, each the parent of the
     next. A limb's first node lies on its parent limb's axis; its `parent` is the last node
-    of that limb at or before it, -1 for a trunk (most plants have one). A clone, the model's
-    word for a limb that begins at a split, has the level of the limb it split from. Lengths
-    in metres, z up.
+    of that limb at or before it, -1 for a trunk (most plants have one). A clone, the
+    model's word for a limb that begins at a split, has the level of the limb it split from.
+    Lengths in metres, z up.
     """
 
     points: Array  # (n, 3) [m]
@@ -217,27 +217,6 @@ class Skeleton:
             out.append(Limb(i, names[i], level, p, self.points[a:b], self.radius[a:b]))
         return tuple(out)
 
-    @property
-    def height(self) -> float:
-        """Largest z over the root's z [m]."""
-        return float(self.points[:, 2].max() - self.points[0, 2])
-
-    @property
-    def length(self) -> float:
-        """Length [m] of all limbs together."""
-        return sum(limb.length for limb in self.limbs)
-
-    def with_radius(self, radius: ArrayLike) -> Self:
-        """Return the same skeleton with other radii, (n,) or a scalar [m]."""
-        return replace(self, radius=np.broadcast_to(radius, self.radius.shape))
-
-    def scaled(self, factor: float) -> Self:
-        """Return the skeleton with all lengths and radii multiplied, about the root."""
-        root = self.points[0]
-        return replace(
-            self, points=root + factor * (self.points - root), radius=factor * self.radius
-        )
-
     @cached_property
     def first(self) -> Array:
         """First node of each limb, (limbs,)."""
@@ -282,7 +261,9 @@ class Skeleton:
         tries = node[:, None] + np.arange(-2, 2)
         tries = np.clip(tries, axes.first[up, None], axes.last[up, None] - 1)
         t = np.linspace(0, 1, 5)
-        at = axes.at(np.repeat(tries[:, :, None], 5, axis=2), np.broadcast_to(t, (*tries.shape, 5)))
+        at = axes.at(
+            np.repeat(tries[:, :, None], 5, axis=2), np.broadcast_to(t, (*tries.shape, 5))
+        )
         far = ((at - x[:, None, None]) ** 2).sum(axis=-1).reshape(len(mine), -1)
         best = far.argmin(axis=1) if len(mine) else np.zeros(0, dtype=int)
         i = tries[np.arange(len(mine)), best // 5]
@@ -311,7 +292,7 @@ class Skeleton:
         return out
 
     def trusted(self, **values: Any) -> Self:
-        """Return a copy with some fields replaced, unchecked: for kernels, not for users."""
+        """Return a copy with some fields replaced, unchecked: for kernels only."""
         out = object.__new__(type(self))
         for f in fields(self):
             value = values.get(f.name, getattr(self, f.name))

@@ -13,10 +13,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from plantsim.arrays import Array
-from plantsim.errors import GeometryError
 from plantsim.plant.frames import (
     Frames,
-    about_vertical,
     about_x,
     about_y,
     about_z,
@@ -24,46 +22,10 @@ from plantsim.plant.frames import (
     towards,
 )
 from plantsim.plant.parameters import LEVELS, WeberPenn
+from plantsim.plant.profile import shape_ratio
+from plantsim.plant.splits import Splits, turned_by_split
 
-MOST = 200_000  # stems of a level: more is a slip in seg_splits or branches
 HELIX = 6  # points that follow half a turn of a helix
-
-
-@dataclass(frozen=True, eq=False)
-class Stems:
-    """The stems of one level, m of them; a clone is a stem that begins at a split."""
-
-    level: int
-    segments: int  # of a whole stem
-    parent: Array  # (m,) row in the level above; -1 for trunks
-    offset: Array  # (m,) where a stem sits on its parent [m]
-    whole: Array  # (m,) length [m] of the whole stem, which clones have too
-    size: Array  # (m,) radius [m] at the foot of the whole stem
-    longest: Array  # (m,) children's length as a share of this one's
-    start: Array  # (m,) int, segment at which a clone begins; 0 for the others
-    origin: Array  # (m,) row of the stem that a clone splits from, else -1
-    share: Array  # (m, segments) factor of the number of children, by segment
-    base: Array  # (m,) bare length [m] of the trunk that a stem belongs to
-    height: Array  # (m,) size of the tree (Scale as drawn) [m]
-    nodes: Array  # (m, segments + 1, 3) ends of segments [m], void before `start`
-    bend: Array  # (m, segments + 1, 3) second derivative of the curve through them
-    side: Array  # (m, segments, 3) local y of each segment
-    helix: "Helix | None" = None
-    spared: int = 0  # stems of this level that got no course, see `grow_level`
-
-    def at(self, row: Array, t: Array) -> tuple[Array, Array]:
-        """Return points and tangents (.., 3) of stems at t in segments from the foot."""
-        if self.helix is not None:
-            return self.helix.at(row, t)
-        s = np.clip(t.astype(int), self.start[row], self.segments - 1)
-        b = (t - s)[..., None]
-        a = 1 - b
-        p, q = self.nodes[row, s], self.nodes[row, s + 1]
-        u, v = self.bend[row, s], self.bend[row, s + 1]
-        points = a * p + b * q + (a**3 - a) / 6 * u + (b**3 - b) / 6 * v
-        way = q - p - (3 * a * a - 1) / 6 * u + (3 * b * b - 1) / 6 * v
-        size = np.sqrt(np.einsum("...i,...i->...", way, way))
-        return points, way / np.maximum(size, 1e-12)[..., None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,131 +57,41 @@ class Helix:
         return points, way / np.sqrt(np.einsum("...i,...i->...", way, way))[..., None]
 
 
-def shape_ratio(shape: int, q: Array | float, m: WeberPenn | None = None) -> Array:
-    """Return the crown profile S(shape, q), q = 0 at the top and 1 at the crown's base.
+@dataclass(frozen=True, eq=False)
+class Stems:
+    """The stems of one level, m of them; a clone is a stem that begins at a split."""
 
-    Shape 8 is the pruning envelope and takes its parameters from `m`.
-    """
-    q = np.asarray(q, dtype=float)
-    if shape == 8:
-        assert m is not None
-        high = 1 - m.prune_width_peak
-        inside = (q >= 0) & (q <= 1)
-        c = np.clip(q, 0, 1)
-        # as printed the lower part jumps at the peak unless that is at 1/2
-        below = high if not m.published else max(m.prune_width_peak, 1e-9)
-        return np.where(
-            inside,
-            np.where(
-                c < high,
-                (c / high) ** m.prune_power_high,
-                ((1 - c) / below) ** m.prune_power_low,
-            ),
-            0.0,
-        )
-    if shape in (5, 7):
-        flame = np.where(q <= 0.7, q / 0.7, (1 - q) / 0.3)
-        return flame if shape == 5 else 0.5 + 0.5 * flame
-    return np.asarray(
-        {
-            0: 0.2 + 0.8 * q,
-            1: 0.2 + 0.8 * np.sin(np.pi * q),
-            2: 0.2 + 0.8 * np.sin(np.pi * q / 2),
-            3: np.ones_like(q),
-            4: 0.5 + 0.5 * q,
-            6: 1 - 0.8 * q,
-        }[shape]
-    )
-
-
-def radius_at(m: WeberPenn, level: int, size: Array, length: Array, z: Array) -> Array:
-    """Return radii [m] at fractions z of stems of foot radius `size`; taper, flare."""
-    taper = m.taper[min(level, LEVELS - 1)]
-    unit = taper if taper < 1 else (2 - taper if taper < 2 else 0.0)
-    cone = size * (1 - unit * z)
-    radius = cone
-    if taper >= 1:
-        left = (1 - z) * length
-        depth = np.where((taper < 2) | (left < cone), 1.0, taper - 2)
-        bead = left
-        if taper >= 2:
-            span = 2 * np.maximum(cone, 1e-12)
-            bead = np.abs(left - span * np.floor(left / span + 0.5))
-        dome = np.sqrt(np.maximum(cone**2 - (bead - cone) ** 2, 0))
-        radius = (1 - depth) * cone + depth * dome
-        if taper < 2:
-            radius = np.where(bead >= cone, cone, radius)
-    if level == 0 and m.flare:
-        radius = radius * (
-            1 + m.flare * (100.0 ** np.maximum(0, 1 - 8 * z) - 1) / 100
-        )
-    return radius
-
-
-@dataclass(eq=False)
-class _Splits:
-    """Where the stems of a level split: a walk along them one after another."""
-
-    model: WeberPenn
-    rng: np.random.Generator
     level: int
-    segments: int
+    segments: int  # of a whole stem
+    parent: Array  # (m,) row in the level above; -1 for trunks
+    offset: Array  # (m,) where a stem sits on its parent [m]
+    whole: Array  # (m,) length [m] of the whole stem, which clones have too
+    size: Array  # (m,) radius [m] at the foot of the whole stem
+    longest: Array  # (m,) children's length as a share of this one's
+    start: Array  # (m,) int, segment at which a clone begins; 0 for the others
+    origin: Array  # (m,) row of the stem that a clone splits from, else -1
+    share: Array  # (m, segments) factor of the number of children, by segment
+    base: Array  # (m,) bare length [m] of the trunk that a stem belongs to
+    height: Array  # (m,) size of the tree (Scale as drawn) [m]
+    nodes: Array  # (m, segments + 1, 3) ends of segments [m], void before `start`
+    bend: Array  # (m, segments + 1, 3) second derivative of the curve through them
+    side: Array  # (m, segments, 3) local y of each segment
+    helix: Helix | None = None
+    spared: int = 0  # stems of this level that got no course, see `grow_level`
 
-    def __post_init__(self) -> None:
-        self.start: list[int] = []
-        self.origin: list[int] = []
-        self.number: list[int] = []  # which clone of its split
-        self.count: list[int] = []  # how many clones its split makes
-        self.share: list[list[float]] = []
-        self.at: dict[tuple[int, int], int] = {}  # (row, segment) -> clones
-        self.error = 0.0
-        m, n = self.model, min(self.level, LEVELS - 1)
-        self.rate = m.seg_splits[n]
-        self.first = int(np.ceil(m.bare[0] * max(1, int(m.curve_res[0]))))
-        self.based = self.level == 0 and m.base_splits > 0
-
-    def add(self, start: int, origin: int, number: int, count: int) -> int:
-        self.start.append(start)
-        self.origin.append(origin)
-        self.number.append(number)
-        self.count.append(count)
-        self.share.append([1.0] * self.segments)
-        if len(self.start) > MOST:
-            raise GeometryError(
-                f"level {self.level} grows more than {MOST} stems: seg_splits "
-                f"{self.rate} over {self.segments} segments is too much. Lower it."
-            )
-        return len(self.start) - 1
-
-    def walk(self, row: int, start: int, chance: float, factor: float) -> None:
-        """Split a stem along its segments; error diffusion carries fractions on."""
-        m, share = self.model, self.share[row]
-        gain = factor if m.published else factor * (1 - start / self.segments)
-        for s in range(start + 1, self.segments + 1):
-            clones = 0
-            base = self.based and s == self.first
-            if base:
-                clones = int(m.base_splits)
-            elif (
-                self.rate > 0
-                and s < self.segments
-                and (self.level > 0 or s > self.first)
-                and (m.published or self.rng.random() <= chance)
-            ):
-                clones = int(self.rate + self.error + 1e-9)
-                self.error -= clones - self.rate
-                if not m.published:  # the program splits ever more rarely
-                    chance /= clones + 1
-                    factor = max(0.8, factor / (clones + 1))
-                    gain *= factor
-            share[s - 1] = gain
-            if clones and m.published:  # together they carry nBranches children
-                gain = factor = gain / (clones + 1)
-            if clones and s < self.segments:
-                self.at[row, s] = clones
-                for j in range(clones):
-                    clone = self.add(s, row, j, -clones if base else clones)
-                    self.walk(clone, s, chance, factor)
+    def at(self, row: Array, t: Array) -> tuple[Array, Array]:
+        """Return points and tangents (.., 3) of stems at t in segments from the foot."""
+        if self.helix is not None:
+            return self.helix.at(row, t)
+        s = np.clip(t.astype(int), self.start[row], self.segments - 1)
+        b = (t - s)[..., None]
+        a = 1 - b
+        p, q = self.nodes[row, s], self.nodes[row, s + 1]
+        u, v = self.bend[row, s], self.bend[row, s + 1]
+        points = a * p + b * q + (a**3 - a) / 6 * u + (b**3 - b) / 6 * v
+        way = q - p - (3 * a * a - 1) / 6 * u + (3 * b * b - 1) / 6 * v
+        size = np.sqrt(np.einsum("...i,...i->...", way, way))
+        return points, way / np.maximum(size, 1e-12)[..., None]
 
 
 def grow_level(
@@ -244,7 +116,7 @@ def grow_level(
     rows = np.arange(many)
     split = None
     if m.curve_v[n] >= 0 and (m.seg_splits[n] > 0 or (level == 0 and m.base_splits > 0)):
-        split = _Splits(m, rng, level, segments)
+        split = Splits(m, rng, level, segments)
         for _ in range(many):
             split.add(0, -1, 0, 0)
         for row in range(many):
@@ -309,7 +181,7 @@ def _directions(
     noise: Array,
     stems: Stems,
     frames: Frames,
-    split: _Splits | None,
+    split: Splits | None,
 ) -> Frames:
     """Return the frame of every segment, (rows, segments, 3) each of x, y, z."""
     n, segments, total = min(stems.level, LEVELS - 1), stems.segments, len(stems.start)
@@ -326,7 +198,9 @@ def _directions(
             origin = stems.origin[clones]
             splitting[origin] = True
             rows = np.flatnonzero(splitting)
-            turned = _turned_by_split(m, n, now, rows, clones, split, noise[:, :, s], stems)
+            turned = turned_by_split(
+                m, n, now, rows, clones, split, noise[:, :, s], stems.origin
+            )
             tilt = turned[2]
             give_back[rows] = tilt[rows] / (segments + 1 - s)
             give_back[clones] = give_back[origin]
@@ -351,58 +225,6 @@ def _directions(
     return out
 
 
-def _turned_by_split(
-    m: WeberPenn,
-    n: int,
-    now: Frames,
-    rows: Array,
-    clones: Array,
-    split: _Splits,
-    noise: Array,
-    stems: Stems,
-) -> tuple[Frames, Frames, Array]:
-    """Return the frames of splitting stems and of their clones, and the tilts [degrees]."""
-    origin = stems.origin[clones]
-    number = np.array(split.number)[clones]
-    count = np.array(split.count)
-    base = count[clones] < 0
-    many = np.zeros(len(noise[0]), dtype=int)
-    many[origin] = np.abs(count[clones])
-    direct = m.split_angle[n] < 0
-    lean = declination(now.z)
-    tilt = np.maximum(0.0, m.split_angle[n] + noise[0] * m.split_angle_v[n] - lean)
-    spread = 20 + 0.75 * (30 + np.abs(lean - 90) * ((noise[1] + 1) / 2) ** 2)
-    if direct:  # in the plane of the stem, by the program
-        tilt = np.zeros_like(tilt)
-        spread = np.abs(m.split_angle[n]) + noise[0] * m.split_angle_v[n]
-    share = 1.0 if m.published else 0.5  # the program halves tilt and spread
-    side = np.where(number % 2 == 0, -1.0, 1.0)
-    if m.published:  # one clone goes to either side by chance
-        side = side * np.where(noise[2, origin] < 0, -1.0, 1.0)
-    turn = side * spread[origin] * (share if not direct else 0.5)
-    ring = (number + 1) * 360 / (many[origin] + 1) + noise[3, clones] * m.split_angle_v[n]
-    turn = np.where(base, ring, turn)
-    clone = about_x(now.picked(origin), np.radians(share * tilt[origin]))
-    old = about_x(now.picked(rows), np.radians(share * tilt[rows]))
-    alone = np.zeros(len(many), dtype=bool)
-    alone[origin[~base]] = True
-    alone &= many == 1
-    back = np.where(alone[rows], spread[rows] / 2, 0.0)
-    if direct:
-        return (
-            about_y(old, np.radians(back)),
-            about_y(clone, np.radians(turn)),
-            tilt,
-        )
-    if m.published:
-        back = np.zeros_like(back)
-    return (
-        about_vertical(old, np.radians(back)),
-        about_vertical(clone, np.radians(turn)),
-        tilt,
-    )
-
-
 def _attracted(m: WeberPenn, level: int, segments: int, f: Frames) -> Frames:
     """Turn frames up (or as tropism says) by one segment's share."""
     if m.published and m.tropism is None:
@@ -417,7 +239,7 @@ def _attracted(m: WeberPenn, level: int, segments: int, f: Frames) -> Frames:
 
 
 def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stems, Array]:
-    """Shorten stems until they are inside the pruning envelope; (stems, those that stay)."""
+    """Shorten stems to the pruning envelope; (stems, a mask of those that stay)."""
     segments = stems.segments
     own = np.flatnonzero(stems.origin < 0)
     first = int(np.ceil(m.bare[0] * max(1, int(m.curve_res[0]))))
@@ -429,7 +251,9 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
     least = 0.15 if not m.published else 0.02
     while open_.any():
         i = np.flatnonzero(open_)
-        points = start[own[i], None] + path[i] * (factor[i] * stems.whole[own[i]])[:, None, None]
+        points = (
+            start[own[i], None] + path[i] * (factor[i] * stems.whole[own[i]])[:, None, None]
+        )
         tall = stems.height[own[i], None]
         q = (tall - points[..., 2]) / (tall * (1 - m.bare[0]))
         out = np.hypot(points[..., 0], points[..., 1]) / tall
@@ -447,9 +271,7 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
     scale = length[root]
     keep = scale > 1e-3
     power = 1.0 if stems.level == 0 else m.ratio_power
-    return replace(
-        stems, whole=stems.whole * scale, size=stems.size * scale**power
-    ), keep
+    return replace(stems, whole=stems.whole * scale, size=stems.size * scale**power), keep
 
 
 def _placed(stems: Stems, start: Array, ways: Array) -> Stems:

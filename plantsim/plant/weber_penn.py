@@ -14,16 +14,10 @@ from plantsim.errors import GeometryError
 from plantsim.plant.frames import Frames, about_x, about_y, about_z, on_tangent
 from plantsim.plant.parameters import LEVELS, WeberPenn, species
 from plantsim.plant.prepare import Forks, prepared
+from plantsim.plant.profile import radius_at, shape_ratio
 from plantsim.plant.skeleton import Skeleton
-from plantsim.plant.stems import (
-    MOST,
-    Stems,
-    grow_level,
-    picked_stems,
-    radius_at,
-    rolled,
-    shape_ratio,
-)
+from plantsim.plant.splits import MOST
+from plantsim.plant.stems import Stems, grow_level, picked_stems, rolled
 
 THINNEST = 1e-6  # m; where the model's radius vanishes
 
@@ -118,7 +112,9 @@ def _bound(m: WeberPenn, stems: Stems) -> float:
     """Return a radius [m] that no child of these stems exceeds at its foot."""
     n = min(stems.level + 1, LEVELS - 1)
     size = m.radius_mod[n] * stems.size * stems.longest**m.ratio_power
-    return float(np.minimum(size if m.published else np.maximum(size, 0.005), stems.size).max())
+    return float(
+        np.minimum(size if m.published else np.maximum(size, 0.005), stems.size).max()
+    )
 
 
 def grown(
@@ -194,7 +190,9 @@ def _places(m: WeberPenn, rng: np.random.Generator, trunks: int) -> Array:
     return out
 
 
-def _counts(m: WeberPenn, rng: np.random.Generator, stems: Stems, above: Stems | None) -> Array:
+def _counts(
+    m: WeberPenn, rng: np.random.Generator, stems: Stems, above: Stems | None
+) -> Array:
     """Return how many children each stem has on each segment, (rows, segments) int."""
     most = m.branches[min(stems.level + 1, LEVELS - 1)]
     rows = len(stems.whole)
@@ -271,8 +269,12 @@ def _children(
     else:
         frames = rolled(frames, azimuth, down)
     seed = _seed(m, rng, level + 1, length[keep], radius[keep])
-    return start, frames, _with(
-        seed, parent=row, offset=offset, base=stems.base[row], height=stems.height[row]
+    return (
+        start,
+        frames,
+        _with(
+            seed, parent=row, offset=offset, base=stems.base[row], height=stems.height[row]
+        ),
     )
 
 
