@@ -52,7 +52,8 @@ def pruned(skeleton: S, min_radius: float, max_limbs: int | None, levels: int | 
     thick = kept.copy()
     if max_limbs is not None and kept.sum() > max_limbs:
         thick = _thickest(skeleton, kept, max_limbs)
-    out = picked(skeleton.trusted(points=points, radius=radius), thick, place < size[limb])
+    out = skeleton.trusted(points=points, radius=radius)
+    out = picked(out, thick, place < size[limb], arc[last])
     notes = []
     if not kept.all():
         notes.append(
@@ -101,15 +102,27 @@ def _thickest(skeleton: "Skeleton", kept: Array, count: int) -> Array:
     return mask & kept
 
 
-def picked(skeleton: S, limbs: Array, nodes: Array | None = None) -> S:
-    """Return the skeleton of the limbs and nodes in masks; parents must be among them."""
+def picked(
+    skeleton: S, limbs: Array, nodes: Array | None = None, whole: Array | None = None
+) -> S:
+    """Return the skeleton of the limbs and nodes in masks; parents must be among them.
+
+    `whole`: lengths [m] of the limbs before they were cut, for what hangs on them.
+    """
     assert skeleton.level is not None
     keep = limbs[skeleton.limb] if nodes is None else limbs[skeleton.limb] & nodes
     new = np.cumsum(keep) - 1
     parent = skeleton.parent[keep]
     # a joint that lay just before a cut hangs on the last node that stays
     safe = np.minimum(new[np.maximum(parent, 0)], np.arange(len(parent)) - 1)
+    hung = skeleton.hung
+    if hung.kind:
+        nodes = np.bincount(skeleton.limb[keep], minlength=len(limbs))
+        end = np.clip(skeleton.first + nodes - 1, skeleton.first, skeleton.last)
+        full = skeleton.arc[skeleton.last] if whole is None else whole
+        hung = hung.picked(limbs, skeleton.arc[end] / full)
     return skeleton.trusted(
+        hung=hung,
         points=skeleton.points[keep],
         radius=skeleton.radius[keep],
         parent=np.where(parent < 0, -1, safe),

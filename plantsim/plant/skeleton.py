@@ -1,5 +1,6 @@
 """Skeleton: a rooted tree of limbs, each a polyline with radii."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -8,10 +9,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from plantsim.arrays import Array, few, frozen
+from plantsim.arrays import Array, Random, few, frozen
 from plantsim.errors import GeometryError
-from plantsim.plant import bends, collisions, hindrances, prepare, prune
+from plantsim.plant import bends, collisions, foliage, hindrances, prepare, prune
 from plantsim.plant.curves import Splines, arcs, splines
+from plantsim.plant.hung import Hung, Masses
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,7 @@ class Skeleton:
     limb: Array  # (n,) int, 0 .. limbs - 1 in order of appearance
     level: Array | None = None  # (limbs,) int; depth in the tree of limbs where None
     note: str = field(default="", kw_only=True)  # what a generator left out, in words
+    hung: Hung = field(default=Hung(), kw_only=True)  # leaves and fruit
 
     def __post_init__(self) -> None:
         def check(name: str, shape: tuple[int | None, ...], dtype: type) -> Array:
@@ -144,6 +147,12 @@ class Skeleton:
         if self.level is None:
             object.__setattr__(self, "level", self.depth)
         check("level", (len(starts),), np.int64)
+        lost = self.hung.limb
+        if ((lost < 0) | (lost >= len(starts))).any():
+            raise GeometryError(
+                f"hung: limbs {few(lost[(lost < 0) | (lost >= len(starts))])}; there are "
+                f"{len(starts)}. Hang leaves and fruit on limbs that there are."
+            )
 
     @classmethod
     def from_limbs(cls, limbs: Sequence[Polyline], *, note: str = "") -> Self:
@@ -279,6 +288,57 @@ class Skeleton:
     def length(self) -> float:
         """Length [m] of all limbs together."""
         return float(self.arc[self.last].sum())
+
+    @property
+    def masses(self) -> Masses:
+        """What hangs on the plant, in space: leaves, fruit."""
+        hung, axes = self.hung, self.splines
+        limb = hung.limb
+        arc = hung.fraction * axes.arc[axes.last[limb]]
+        foot = axes.at(*axes.locate(limb, arc))
+        return Masses(foot + hung.offset, foot, hung.mass, limb, hung.kind)
+
+    def with_leaves(
+        self,
+        species: str | None = None,
+        *,
+        mass: float | None = None,
+        spacing: float | None = None,
+        stalk: float | None = None,
+        rng: Random = 7,
+    ) -> Self:
+        """Return the skeleton with leaves on its outer limbs, as point masses.
+
+        `mass` [kg] of one, `spacing` [m] along a limb, `stalk` [m] from the axis to its
+        centre; what is not given is that of the species. Leaves of limbs that were left out
+        are left out too. Raises GeometryError where a number is missing.
+        """
+        more = foliage.leaves(self, species, mass, spacing, stalk, rng)
+        return replace(self, hung=self.hung.joined(more))
+
+    def with_fruit(
+        self,
+        species: str | None = None,
+        *,
+        count: int | None = None,
+        mass: float | None = None,
+        stalk: float | None = None,
+        rng: Random = 7,
+    ) -> Self:
+        """Return the skeleton with fruit below its bearing limbs, as point masses.
+
+        `count` in all, `mass` [kg] of one, `stalk` [m] down to its centre; what is not
+        given is that of the species. Raises GeometryError where a number is missing.
+        """
+        more = foliage.fruit(self, species, count, mass, stalk, rng)
+        return replace(self, hung=self.hung.joined(more))
+
+    def plot(self, out: str | os.PathLike[str] | None = None) -> Any:
+        """Draw the skeleton: to a PNG, whose path it returns, or as a matplotlib figure."""
+        # a picture is the only call that goes up, through this one door
+        from plantsim.view.skeletons import figure_skeleton  # noqa: PLC0415
+
+        return figure_skeleton(self, out)
 
     def with_radius(self, radius: ArrayLike) -> Self:
         """Return the same skeleton with other radii, (n,) or a scalar [m]."""
