@@ -152,9 +152,7 @@ def _header(cells: list[str], name: str) -> dict[str, int]:
             f"{', '.join(missing) or 'length and axis, or end'}. Name them in line 1."
         )
     if not ends:
-        found = {
-            k: v for k, v in found.items() if not k.startswith("end_") or k == "end_radius"
-        }
+        found = {k: v for k, v in found.items() if k not in ("end_x", "end_y", "end_z")}
     return found
 
 

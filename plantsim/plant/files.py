@@ -1,10 +1,10 @@
 """Skeletons in files: our JSON, SWC, and the cylinder CSV of structure models.
 
 - .json: everything, exactly; one limb a line.
-- .swc: id, type, x, y, z, radius, parent; one node a line. Ours has metres, the limb's
-  level + 5 as type (5 and above are free for custom use), and a comment that tells where limbs
-  begin; in others a limb goes on to the thickest child. Source: R. C. Cannon et al., J.
-  Neurosci. Methods 84 (1998) 49-54.
+- .swc: id, type, x, y, z, radius, parent; one node a line. Ours has metres, the level + 5
+  as type (5 and above are free for custom use), and a comment that tells where limbs begin;
+  in others a limb goes on to the thickest child. Source: R. C. Cannon et al., J. Neurosci.
+  Methods 84 (1998) 49-54.
 - .csv: cylinders as TreeQSM and its relatives name them: radius, length, start, axis,
   parent, extension, branch, branch_order, position_in_branch. Ours also has the radii at
   both ends of a cylinder. Source: P. Raumonen et al., Remote Sensing 5 (2013) 491-520.

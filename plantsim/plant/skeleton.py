@@ -273,7 +273,7 @@ class Skeleton:
         at = axes.at(
             np.repeat(tries[:, :, None], 5, axis=2), np.broadcast_to(t, (*tries.shape, 5))
         )
-        far = ((at - x[:, None, None]) ** 2).sum(axis=-1).reshape(len(mine), -1)
+        far = ((at - x[:, None, None]) ** 2).sum(axis=-1).reshape(len(mine), 4 * 5)
         best = far.argmin(axis=1) if len(mine) else np.zeros(0, dtype=int)
         i = tries[np.arange(len(mine)), best // 5]
         arc = axes.arc[i] + t[best % 5] * (axes.arc[i + 1] - axes.arc[i])

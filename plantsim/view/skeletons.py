@@ -32,7 +32,6 @@ def figure_skeleton(
     axes.set_ylabel("m")
     words = repr(skeleton).split(";")[0].replace("Skeleton(", "")
     axes.set_title(title or words, fontsize=9)
-    )
     return figure if out is None else _saved(figure, out)
 
 
@@ -124,9 +123,7 @@ def _view(points: Array) -> Array:
     return np.array([[x, y, 0.0], [0.0, 0.0, 1.0], [-y, x, 0.0]])
 
 
-def _axis(
-    skeleton: Skeleton, a: int, b: int, view: Array
-) -> tuple[Array, Array, float]:
+def _axis(skeleton: Skeleton, a: int, b: int, view: Array) -> tuple[Array, Array, float]:
     """Return a limb's smooth axis in the picture, radii, and distance from the eye."""
     i = np.repeat(np.arange(a, b), SLICES)
     t = np.tile(np.arange(SLICES) / SLICES, b - a)
