@@ -157,7 +157,7 @@ def test_splits_diffuse_their_error_and_share_the_children():
         "branches": (1, 40, 0, 0),
     }
     one = ps.weber_penn(WeberPenn(**base), ready=False)
-    many = ps.weber_penn(WeberPenn(seg_splits=[0.25, 0, 0, 0], **base), ready=False)
+    many = ps.weber_penn(WeberPenn(seg_splits=[0.5, 0, 0, 0], **base), ready=False)
     assert np.count_nonzero(one.level == 0) == 1
     assert np.count_nonzero(many.level == 0) > 2
     # a stem and its clones carry nBranches together

@@ -132,7 +132,7 @@ def test_resampling_keeps_the_axes(seed, spacing):
     for a, b in zip(plant.limbs, close.limbs, strict=True):
         assert b.tip == approx(a.tip, abs=0.01)
         assert b.length == approx(a.length, rel=0.02, abs=1e-3)
-    assert plant.resampled(10.0).limbs[0].points.shape == (2, 3)
+    assert plant.resampled(100.0).limbs[0].points.shape == (2, 3)
 
 
 @given(angle=st.floats(20, 170), radius=st.floats(0.005, 0.2), seed=st.integers(0, 10))

@@ -22,7 +22,13 @@ def resampled(skeleton: S, spacing: float) -> S:
     """Return what `Skeleton.resampled` says."""
     if not (np.isfinite(spacing) and spacing > 0):
         raise GeometryError(f"spacing is {spacing} m; give a positive length.")
-    length = skeleton.splines.arc[skeleton.last]
+    axes = skeleton.splines
+    i = axes.intervals
+    grid = np.repeat(i[:, None], len(SAMPLES), axis=1)
+    way = axes.velocity(grid, np.broadcast_to(SAMPLES, grid.shape))
+    speed = np.ones(len(axes.points))  # of the smooth axis over its chords
+    speed[i] = np.sqrt(np.einsum("ijk,ijk->ij", way, way)).max(axis=1)
+    length = axes.arc[axes.last] * np.maximum.reduceat(speed, axes.first)
     counts = np.maximum(1, np.ceil(length / spacing - 1e-9)).astype(int)
     points, radius, first = _even(skeleton.splines, counts)
     return rebuilt(skeleton, points, radius, first)
