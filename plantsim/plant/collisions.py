@@ -154,14 +154,22 @@ def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
     return np.sqrt(dot(gap, gap))
 
 
-def without_collisions(skeleton: S, tries: int) -> S:
-    """Return what `Skeleton.without_collisions` says."""
+def without_collisions(skeleton: S, tries: int, enough: int | None = None) -> S:
+    """Return what `Skeleton.without_collisions` says.
+
+    `enough`: so many limbs are wanted that, if as many are left, none needs to be turned.
+    """
     turned, moved = skeleton, None
     for attempt in range(tries + 1):
         pairs = colliding(turned, only=moved)
         if not len(pairs):
             break
         victims = _victims(turned, pairs)
+        if enough is not None and attempt < tries:
+            left = without(turned, victims)
+            if len(left.first) >= enough:
+                turned = left
+                break
         if attempt < tries:
             turned, moved = _rolled(turned, victims, GOLDEN)
         else:

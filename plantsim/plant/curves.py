@@ -97,7 +97,7 @@ class Splines:
         By Gauss-Newton from the arcs given, which must be near.
         """
         full = self.arc[self.last[limb]]
-        for _ in range(4):
+        for _ in range(3):
             i, t = self.locate(limb, arc)
             d = self.velocity(i, t)
             step = ((x - self.at(i, t)) * d).sum(axis=-1) / (d * d).sum(axis=-1)

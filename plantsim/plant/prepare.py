@@ -52,7 +52,7 @@ def prepared(
     out = capped(out, min_radius)
     out = _without_stubs(out)
     before = len(out.first)
-    out = without_collisions(out, 1)
+    out = without_collisions(out, 1, max_limbs)
     clashes = before - len(out.first)
     if len(out.first) > max_limbs:
         out = pruned(out, 0.0, max_limbs, None)
