@@ -46,9 +46,7 @@ def best(grow, runs: int) -> float:
 
 
 def speed(runs: int) -> None:
-    print(
-        f"{'species':22s} {'ready [ms]':>10s} {'limbs':>6s} {'whole [ms]':>11s} {'stems':>7s}"
-    )
+    print("species                ready [ms]  limbs  whole [ms]   stems")
     for name in ps.species_names():
         ready = best(lambda s, n=name: ps.weber_penn(n, rng=s), runs)
         whole = best(lambda s, n=name: ps.weber_penn(n, rng=s, ready=False), 5)
@@ -95,8 +93,8 @@ def check(seeds: int) -> None:
                 bad.append(seed)
         took = (time.process_time() - start) / seeds
         print(
-            f"  {name:22s} {len(bad)} fail {bad[:5] or ''} limbs {min(limbs)}-{max(limbs)}, "
-            f"{1e3 * took:.0f} ms each with check",
+            f"  {name:22s} {len(bad)} fail {bad[:5] or ''} "
+            f"limbs {min(limbs)}-{max(limbs)}, {1e3 * took:.0f} ms each with check",
             flush=True,
         )
 
