@@ -365,7 +365,10 @@ class Skeleton:
         """Return the skeleton with all lengths and radii multiplied, about the root."""
         root = self.points[0]
         return replace(
-            self, points=root + factor * (self.points - root), radius=factor * self.radius
+            self,
+            points=root + factor * (self.points - root),
+            radius=factor * self.radius,
+            hung=replace(self.hung, offset=factor * self.hung.offset),
         )
 
     def pruned(
