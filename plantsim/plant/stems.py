@@ -246,7 +246,7 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
     reach = np.cumsum(ways[own], axis=1) / segments
     path = reach[:, -1:] if stems.level == 0 and first > 0 else reach
     factor = np.ones(len(own))
-    step = 0.9 if not m.published else 0.97
+    step = 0.9 if not m.published else 0.95
     open_ = np.ones(len(own), dtype=bool)
     least = 0.15 if not m.published else 0.02
     while open_.any():
