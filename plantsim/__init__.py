@@ -37,13 +37,19 @@ if TYPE_CHECKING:
     from plantsim.mesh.files import read_mesh as read_mesh
     from plantsim.mesh.files import write_mesh as write_mesh
     from plantsim.mesh.tetmesh import TetMesh as TetMesh
+    from plantsim.plant.files import read_skeleton as read_skeleton
+    from plantsim.plant.files import write_skeleton as write_skeleton
+    from plantsim.plant.hung import Masses as Masses
+    from plantsim.plant.parameters import WeberPenn as WeberPenn
+    from plantsim.plant.parameters import species as species
+    from plantsim.plant.parameters import species_names as species_names
     from plantsim.plant.simple import fork as fork
     from plantsim.plant.simple import straight as straight
     from plantsim.plant.simple import tapered as tapered
+    from plantsim.plant.simple import whorl as whorl
+    from plantsim.plant.simple import zigzag as zigzag
     from plantsim.plant.skeleton import Limb as Limb
     from plantsim.plant.skeleton import Skeleton as Skeleton
-    from plantsim.plant.weber_penn import WeberPenn as WeberPenn
-    from plantsim.plant.weber_penn import species as species
     from plantsim.plant.weber_penn import weber_penn as weber_penn
     from plantsim.solid.sweep import Solid as Solid
     from plantsim.solid.sweep import sweep as sweep
@@ -52,6 +58,7 @@ if TYPE_CHECKING:
     from plantsim.solve.multigrid import Multigrid as Multigrid
     from plantsim.view.figures import figure_deformation as figure_deformation
     from plantsim.view.figures import figure_material as figure_material
+    from plantsim.view.skeletons import figure_skeleton as figure_skeleton
 
 __version__ = "0.1.0"
 
@@ -82,14 +89,18 @@ _HOME = {
     "plantsim.estimation.parameters": ("per_element", "per_limb"),
     "plantsim.mesh.files": ("read_mesh", "write_mesh"),
     "plantsim.mesh.tetmesh": ("TetMesh",),
-    "plantsim.plant.simple": ("fork", "straight", "tapered"),
+    "plantsim.plant.simple": ("fork", "straight", "tapered", "whorl", "zigzag"),
     "plantsim.plant.skeleton": ("Limb", "Skeleton"),
-    "plantsim.plant.weber_penn": ("WeberPenn", "species", "weber_penn"),
+    "plantsim.plant.files": ("read_skeleton", "write_skeleton"),
+    "plantsim.plant.hung": ("Masses",),
+    "plantsim.plant.parameters": ("WeberPenn", "species", "species_names"),
+    "plantsim.plant.weber_penn": ("weber_penn",),
     "plantsim.solid.sweep": ("Solid", "sweep"),
     "plantsim.solid.tetrahedralize": ("tetrahedralize",),
     "plantsim.solve.direct": ("Direct",),
     "plantsim.solve.multigrid": ("Multigrid",),
     "plantsim.view.figures": ("figure_deformation", "figure_material"),
+    "plantsim.view.skeletons": ("figure_skeleton",),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}
 

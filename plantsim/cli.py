@@ -66,6 +66,44 @@ def demo(
 
 
 @app.command()
+def grow(
+    species: Annotated[str, typer.Argument(help="A species, or a .toml file.")] = "apple",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the plant.")] = 7,
+    levels: Annotated[int | None, typer.Option(help="Levels; 1: the trunk.")] = None,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="All that the model grows, unfit to be meshed.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the skeleton here: .json, .swc or .csv.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw it here: .png")] = None,
+    list_: Annotated[bool, typer.Option("--list", help="Show the species.")] = False,
+) -> None:
+    """Grow a plant's skeleton, describe it, write it, draw it.
+
+    Example: plantsim grow apple --seed 7 --out apple.json --picture apple.png
+    """
+    if list_:
+        table = Table(title=f"species, grown with seed {seed}", title_justify="left")
+        for column in ("species", "height [m]", "limbs", "thinnest radius [mm]"):
+            table.add_column(column, justify="left" if column == "species" else "right")
+        for name in ps.species_names():
+            found = ps.weber_penn(name, rng=seed)
+            thin = 1e3 * float(found.radius.min())
+            table.add_row(name, f"{found.height:.2f}", f"{len(found.first)}", f"{thin:.2f}")
+        console.print(table)
+        return
+    toml = species.lower().endswith(".toml")
+    model = ps.WeberPenn.read(species) if toml else ps.species(species)
+    found = ps.weber_penn(model, rng=seed, levels=levels, ready=not whole)
+    typer.echo(repr(found))
+    if out is not None:
+        typer.echo(f"wrote {ps.write_skeleton(found, out)}")
+    if picture is not None:
+        typer.echo(f"wrote {found.plot(picture)}")
+
+
+@app.command()
 def mesh(
     source: Annotated[Path, typer.Argument(help=".geo, .step, .brep, .msh, .vtu or .npz")],
     out: Annotated[

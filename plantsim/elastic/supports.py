@@ -25,8 +25,8 @@ def check_held(mesh: TetMesh, fixed: Array) -> None:
         what = (
             "no vertex is fixed"
             if count == 1
-            else f"{len(loose)} of {count} disconnected pieces have no fixed vertex (the first "
-            f"has {size} vertices, among them {first})"
+            else f"{len(loose)} of {count} disconnected pieces have no fixed vertex (the "
+            f"first has {size} vertices, among them {first})"
         )
         raise ModelError(
             f"{what}, so the system is singular. Fix at least three in each piece."

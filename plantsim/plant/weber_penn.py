@@ -1,326 +1,406 @@
-"""Procedural trees by the model of Weber and Penn: parameters -> Skeleton.
+"""Procedural plants by the model of Weber and Penn: parameters -> Skeleton.
 
-Source: J. Weber, J. Penn, "Creation and Rendering of Realistic Trees", SIGGRAPH 1995. This
-module has the model's stems, curvature, down angles, rotation, lengths, radii, taper below
-2, flare and vertical attraction; stem splits, lobes and the pruning envelope are not in it
-yet.
+Source: J. Weber, J. Penn, "Creation and Rendering of Realistic Trees", SIGGRAPH 1995. What
+the reference program tree-gen does otherwise stands in docs/plants.md and hangs on
+`WeberPenn.rules`.
 """
 
-import tomllib
-from dataclasses import dataclass, fields, replace
-from functools import cache
-from importlib import resources
-from typing import Any, Self
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from plantsim.arrays import Array, Random, generator
 from plantsim.errors import GeometryError
-from plantsim.plant.skeleton import Polyline, Skeleton
+from plantsim.plant.frames import Frames, about_x, about_y, about_z, on_tangent
+from plantsim.plant.parameters import LEVELS, WeberPenn, species
+from plantsim.plant.prepare import Forks, prepared
+from plantsim.plant.profile import radius_at, shape_ratio
+from plantsim.plant.skeleton import Skeleton
+from plantsim.plant.splits import MOST
+from plantsim.plant.stems import Stems, grow_level, picked_stems, rolled
 
-LEVELS = 4  # deeper levels reuse the values of the last
-Four = tuple[float, float, float, float]
-
-
-@dataclass(frozen=True)
-class WeberPenn:
-    """Parameters of the model under their published names; one value a level in the tuples.
-
-    Lengths in m, angles in degrees; a name with `_v` is a half-width of uniform variation.
-    Raises GeometryError that names the value that is wrong and what is allowed.
-    """
-
-    shape: int = 7
-    scale: float = 13.0
-    scale_v: float = 3.0
-    levels: int = 3
-    ratio: float = 0.015
-    ratio_power: float = 1.2
-    flare: float = 0.6
-    base_size: float = 0.4
-    attraction_up: float = 0.5
-    length: Four = (1.0, 0.3, 0.6, 0.0)
-    length_v: Four = (0.0, 0.0, 0.0, 0.0)
-    taper: Four = (1.0, 1.0, 1.0, 1.0)
-    branches: Four = (1, 50, 30, 10)
-    down_angle: Four = (0.0, 60.0, 45.0, 45.0)
-    down_angle_v: Four = (0.0, -50.0, 10.0, 10.0)
-    rotate: Four = (0.0, 140.0, 140.0, 77.0)
-    rotate_v: Four = (0.0, 0.0, 0.0, 0.0)
-    curve_res: Four = (3, 5, 3, 1)
-    curve: Four = (0.0, -40.0, -40.0, 0.0)
-    curve_back: Four = (0.0, 0.0, 0.0, 0.0)
-    curve_v: Four = (20.0, 50.0, 75.0, 0.0)
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.type == Four or isinstance(f.default, tuple):
-                if not isinstance(value, (list, tuple)) or len(value) != LEVELS:
-                    raise GeometryError(
-                        f"{f.name} is {value!r}: give {LEVELS} numbers, one a level."
-                    )
-                object.__setattr__(self, f.name, tuple(value))
-            for number in np.atleast_1d(np.asarray(getattr(self, f.name))):
-                if f.name != "source" and (
-                    isinstance(number, str) or not np.isfinite(float(number))
-                ):
-                    raise GeometryError(f"{f.name} is {value!r}: give finite numbers.")
-        allowed = (
-            ("shape", self.shape in range(8), "a whole number from 0 to 7"),
-            ("scale", self.scale > 0, "more than 0 m"),
-            ("scale_v", 0 <= self.scale_v < self.scale, "from 0 to below scale"),
-            ("levels", self.levels in range(1, 9), "a whole number from 1 to 8"),
-            ("ratio", 0 < self.ratio < 0.5, "above 0 and below 0.5"),
-            ("flare", 0 <= self.flare <= 5, "from 0 to 5"),
-            ("base_size", 0 <= self.base_size < 1, "from 0 to below 1"),
-            ("taper", all(0 <= t < 2 for t in self.taper), "from 0 to below 2"),
-            ("branches", all(b >= 0 for b in self.branches), "0 or more"),
-            ("curve_res", all(c >= 1 for c in self.curve_res), "1 or more"),
-            ("length", all(x >= 0 for x in self.length), "0 or more"),
-        )
-        for name, good, want in allowed:
-            if not good:
-                raise GeometryError(
-                    f"{name} is {getattr(self, name)!r}: allowed is {want}."
-                )
-
-    def with_(self, **values: Any) -> Self:
-        """Return the same parameters with some replaced."""
-        return replace(self, **values)
-
-
-def species_names() -> tuple[str, ...]:
-    """Return the names of the species that plantsim ships."""
-    files = resources.files("plantsim.plant").joinpath("species").iterdir()
-    return tuple(sorted(f.name[:-5] for f in files if f.name.endswith(".toml")))
-
-
-@cache
-def species(name: str) -> WeberPenn:
-    """Return the parameters of a species; GeometryError lists those there are."""
-    if name not in species_names():
-        raise GeometryError(
-            f"species {name!r} is not known; there are: {', '.join(species_names())}."
-        )
-    file = resources.files("plantsim.plant").joinpath("species", f"{name}.toml")
-    return WeberPenn(**tomllib.loads(file.read_text(encoding="utf-8")))
+THINNEST = 1e-6  # m; where the model's radius vanishes
 
 
 def weber_penn(
     parameters: str | WeberPenn = "quaking_aspen",
-    rng: Random = 0,
-    *,
+    rng: Random = 7,
     levels: int | None = None,
     ready: bool = True,
+    *,
+    min_radius: float | None = None,
+    max_limbs: int = 100,
+    forks: Forks = "model",
 ) -> Skeleton:
-    """Return a tree of the given species or parameters.
+    """Return a plant of the given species or parameters.
 
-    `rng`: seed or Generator; the same seed gives the same tree. `levels` limits the
-    recursion (1: trunk alone). With `ready` (default) the skeleton can be meshed: limbs are
-    cut where they are thinner than 2 % of the trunk (at least 1 mm), the 100 thickest stay,
-    a child is at most 0.85 as thick as its parent where it leaves it, and `note` says what
-    was left out. Without, it is everything the model grows, down to radii of 0.1 % of a
-    stem's own.
+    `rng`: seed or Generator; the same seed gives the same plant. `levels` limits the
+    recursion (1: trunk alone).
+
+    With `ready` (default) the skeleton can be meshed, passes `check()`, and its `note` says
+    what was left out: limbs are cut where they are thinner than `min_radius` [m] (default:
+    2 % of the trunk, at least 0.5 mm), the `max_limbs` thickest stay, bends are eased until
+    the tube clears itself, children start on their parents' axes, at most 0.85 as thick,
+    and limbs that pass through others are dropped. `forks`: "model" for the radii of the
+    model, "area" for areas that add up at every fork (da Vinci's rule).
+
+    Without, it is everything the model grows, down to radii of 0.1 % of a stem's own.
+
+    >>> weber_penn("quaking_aspen", rng=7).check()
+    ()
     """
     model = species(parameters) if isinstance(parameters, str) else parameters
-    grower = _Grower(
-        model, generator(rng), model.levels if levels is None else levels, ready
-    )
-    full = Skeleton.from_limbs(grower.grow())
+    if not isinstance(model, WeberPenn):
+        raise GeometryError(
+            f"parameters is {type(model).__name__}, wanted a species' name or a WeberPenn. "
+            "Read a file with ps.WeberPenn.read(path)."
+        )
+    depth = model.levels if levels is None else levels
+    if depth not in range(1, 9):
+        raise GeometryError(
+            f"levels is {levels!r}: give a whole number from 1 (trunk alone) to 8."
+        )
     if not ready:
-        return full
-    return full.pruned(
-        min_radius=max(0.001, 0.02 * full.limbs[0].base_radius), max_limbs=100
+        return _joined(model, grown(model, generator(rng), depth))
+    floor = -1.0 if min_radius is None else min_radius
+    stems = grown(model, generator(rng), depth, _Wanted(floor, 2 * max_limbs))
+    known = sum(len(level.whole) for level in stems) + stems[-1].spared
+    full = _joined(model, _thick(stems, _Wanted(floor, 2 * max_limbs)))
+    thin = max(5e-4, 0.02 * full.radius[0]) if min_radius is None else min_radius
+    deeper = depth if len(stems) < depth and model.branches[min(len(stems), 3)] else 0
+    return prepared(
+        full, thin, max_limbs, forks, known, f"level {len(stems)}" if deeper else ""
     )
 
 
-def shape_ratio(shape: int, q: float) -> float:
-    """Return the crown profile S(shape, q), q = 0 at the top and 1 at the crown's base."""
-    flame = q / 0.7 if q <= 0.7 else (1 - q) / 0.3
-    return (
-        0.2 + 0.8 * q,
-        0.2 + 0.8 * np.sin(np.pi * q),
-        0.2 + 0.8 * np.sin(np.pi * q / 2),
-        1.0,
-        0.5 + 0.5 * q,
-        flame,
-        1 - 0.8 * q,
-        0.5 + 0.5 * flame,
-    )[shape]
+@dataclass(frozen=True)
+class _Wanted:
+    """Which stems a mesh will want, so that the others need no course."""
+
+    min_radius: float  # m; below 0: 2 % of the trunk's
+    most: int
+
+    def floor(self, levels: list[Stems], *more: Array) -> float:
+        """Return the radius [m] at its foot below which no stem will be wanted."""
+        sizes = np.concatenate([*(s.size for s in levels), *more])
+        thin = self.min_radius
+        thin = max(5e-4, 0.02 * float(levels[0].size[0])) if thin < 0 else thin
+        if len(sizes) <= self.most:
+            return thin
+        return max(thin, float(np.partition(sizes, -self.most)[-self.most]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Stem:
-    """A stem while its children are placed."""
+def _thick(levels: list[Stems], wanted: _Wanted) -> list[Stems]:
+    """Return the stems whose foot is thick enough, and those that carry them."""
+    floor, out = wanted.floor(levels), []
+    below = np.ones(1, dtype=bool)
+    for stems in levels:
+        keep = stems.size >= floor
+        keep &= below[stems.parent] if stems.level else True
+        for i in np.flatnonzero(stems.origin >= 0):
+            keep[i] &= keep[stems.origin[i]]
+        if not keep.any():
+            break
+        new = np.append(np.cumsum(keep) - 1, -1)
+        up = np.append(np.cumsum(below) - 1, -1) if stems.level else new
+        out.append(picked_stems(stems, keep, new, up))
+        below = keep
+    return out
 
-    limb: int
-    level: int
-    length: float
-    base_radius: float
-    length_max: float  # the children's longest length as a fraction of this stem's
-    curve: CubicSpline  # through the segments' ends, over 0 .. 1
-    frames: Array  # frame of each segment, columns x, y, z (k, 3, 3)
 
-    def at(self, offset: float) -> tuple[Array, Array]:
-        """Return the curve's point and the segment's frame at an offset [m]."""
-        t = min(offset / self.length, 1.0)
-        k = len(self.frames)
-        return self.curve(t), self.frames[min(int(t * k), k - 1)]
+def _bound(m: WeberPenn, stems: Stems) -> float:
+    """Return a radius [m] that no child of these stems exceeds at its foot."""
+    n = min(stems.level + 1, LEVELS - 1)
+    size = m.radius_mod[n] * stems.size * stems.longest**m.ratio_power
+    return float(
+        np.minimum(size if m.published else np.maximum(size, 0.005), stems.size).max()
+    )
 
 
-class _Grower:
-    """One growth of the model: the random numbers and the limbs so far."""
+def grown(
+    m: WeberPenn, rng: np.random.Generator, levels: int, wanted: _Wanted | None = None
+) -> list[Stems]:
+    """Return the stems that the model grows, level by level.
 
-    def __init__(
-        self, model: WeberPenn, rng: np.random.Generator, levels: int, ready: bool
-    ) -> None:
-        if levels < 1:
-            raise GeometryError(f"levels is {levels}: give 1 (trunk alone) or more.")
-        self.model, self.rng, self.levels, self.ready = model, rng, levels, ready
-        self.limbs: list[Polyline] = []
-        self.offset: dict[int, float] = {}  # of each child limb, along its parent [m]
-        self.carrier: dict[int, _Stem] = {}  # the parent of each child limb
+    With `wanted`, a level that bears none of those ends the growth, and those of the last
+    level that are not get no course; the others are as they are in the whole plant.
+    """
+    trunks = max(1, int(m.branches[0]))
+    roll = rng.uniform(0, 2 * np.pi, trunks)
+    girth = m.scale0 + m.scale0_v * rng.uniform(-1, 1, trunks)
+    height = np.maximum(m.scale + m.scale_v * rng.uniform(-1, 1, trunks), 1e-3)
+    length = height * (m.length[0] + m.length_v[0] * rng.uniform(-1, 1, trunks))
+    thick = m.ratio * m.radius_mod[0] * girth
+    start = _places(m, rng, trunks)
+    eye = [np.tile(axis, (trunks, 1)) for axis in np.eye(3)]
+    seed = _seed(m, rng, 0, length, length * thick)
+    # the crown begins at BaseSize of the tree; the program says of the trunk
+    bare = m.bare[0] * (height if m.published else length)
+    seed = _with(seed, base=np.minimum(bare, 0.99 * length), height=height)
+    out = [grow_level(m, rng, 0, start, about_z(Frames(*eye), roll), seed)]
+    while len(out) < levels:
+        if wanted is not None and _bound(m, out[-1]) < wanted.floor(out):
+            break
+        born = _children(m, rng, out[-1], out[-2] if len(out) > 1 else None)
+        if born is None:
+            break
+        mask = None
+        if wanted is not None and len(out) + 1 == levels:
+            mask = born[2].size >= wanted.floor(out, born[2].size)
+            if not mask.any():
+                break
+        out.append(grow_level(m, rng, len(out), *born, mask))
+    return out
 
-    def vary(self, value: float, half_width: float) -> float:
-        return value + self.rng.uniform(-1, 1) * half_width
 
-    def grow(self) -> list[Polyline]:
-        m = self.model
-        height = self.vary(m.scale, m.scale_v)
-        length = self.vary(m.length[0], m.length_v[0]) * height
-        trunk = self.stem(-1, 0, np.zeros(3), np.eye(3), length, length * m.ratio)
-        base = m.base_size * height
-        waiting = [(trunk, base)]
-        while waiting:
-            stem, bare = waiting.pop(0)
-            if stem.level + 1 < self.levels:
-                waiting += [(child, 0.0) for child in self.children(stem, bare)]
-        return self.limbs
+def _seed(
+    m: WeberPenn, rng: np.random.Generator, level: int, length: Array, radius: Array
+) -> Stems:
+    """Return stems that have sizes but no course yet."""
+    n, many = min(level + 1, LEVELS - 1), len(length)
+    longest = m.length[n] + m.length_v[n] * rng.uniform(-1, 1, many)
+    none = np.zeros(many, dtype=int)
+    void = np.zeros(0)
+    return Stems(
+        level, 1, none - 1, void, length, radius, np.maximum(longest, 0.0), none,
+        none - 1, void, void, void, void, void, void,
+    )  # fmt: skip
 
-    def stem(
-        self,
-        parent: int,
-        level: int,
-        start: Array,
-        frame: Array,
-        length: float,
-        radius: float,
-    ) -> _Stem:
-        """Walk along a new stem, add its limb and return it."""
-        m, n = self.model, min(level, LEVELS - 1)
-        segments = max(1, round(m.curve_res[n]))
-        points, frames = [start], []
-        for i in range(segments):
-            if i or level:
-                turn = m.curve[n] / segments
-                if m.curve_back[n]:
-                    half = m.curve[n] if i < segments / 2 else m.curve_back[n]
-                    turn = half / (segments / 2)
-                turn += self.rng.uniform(-1, 1) * m.curve_v[n] / segments
-                frame = frame @ _about_x(np.radians(turn))
-                if level >= 2:
-                    frame = self.attracted(frame, segments)
-            frames.append(frame)
-            points.append(points[-1] + frame[:, 2] * length / segments)
-        longest = self.vary(m.length[min(level + 1, 3)], m.length_v[min(level + 1, 3)])
-        curve = CubicSpline(
-            np.linspace(0, 1, segments + 1), np.array(points), bc_type="natural"
-        )
-        stem = _Stem(
-            len(self.limbs), level, length, radius, longest, curve, np.array(frames)
-        )
-        # more nodes than segments, so that the polyline follows the curve and the radius
-        z = np.linspace(0, 1, 3 * segments + 1)
-        if level == 0 and m.flare:
-            z = np.union1d(z, [1 / 32, 1 / 16, 1 / 8])
-        radii = np.array([self.radius(level, radius, length, t) for t in z])
-        self.limbs.append(Polyline(curve(z), radii, parent, level))
-        return stem
 
-    def attracted(self, frame: Array, segments: int) -> Array:
-        """Turn a segment's frame towards the vertical (negative: away from it)."""
-        z = frame[:, 2]
-        declination = np.arccos(np.clip(z[2], -1, 1))
-        upward = self.model.attraction_up * declination * abs(frame[2, 1]) / segments
-        axis = np.cross(z, [0.0, 0.0, 1.0])
-        size = np.linalg.norm(axis)
-        return frame if size < 1e-9 else _about(axis / size, upward) @ frame
+def _with(stems: Stems, **values: Array) -> Stems:
+    values.setdefault("offset", np.zeros(len(stems.whole)))
+    return replace(stems, **values)
 
-    def radius(self, level: int, radius: float, length: float, z: float) -> float:
-        """Radius [m] at the fraction z of a stem: unit taper and flare, never zero."""
-        m = self.model
-        taper = m.taper[min(level, LEVELS - 1)]
-        unit = taper if taper < 1 else 2 - taper
-        r = radius * (1 - unit * z)
-        if taper > 1:  # a hemispherical tip, by degrees
-            left = (1 - z) * length
-            if left < r:
-                r = (2 - taper) * r + (taper - 1) * np.sqrt(max(r**2 - (left - r) ** 2, 0))
-        if level == 0:
-            r *= 1 + m.flare * (100 ** max(0.0, 1 - 8 * z) - 1) / 100
-        return max(r, 1e-3 * radius)
 
-    def children(self, stem: _Stem, bare: float) -> list[_Stem]:
-        """Place the children of a stem, evenly over what is not bare."""
-        m, level = self.model, stem.level + 1
-        n = min(level, LEVELS - 1)
-        most = m.branches[n]
-        if level == 1:
-            count = most
-        elif level == 2:
-            grand = self.carrier[stem.limb]
-            share = stem.length / grand.length / max(grand.length_max, 1e-9)
-            count = most * (0.2 + 0.8 * share)
-        else:
-            grand = self.carrier[stem.limb]
-            count = most * (1 - 0.5 * self.offset[stem.limb] / grand.length)
-        count = int(count + self.rng.uniform())
-        out, azimuth = [], self.rng.uniform(0, 360)
-        for k in range(count):
-            offset = bare + (stem.length - bare) * (k + 0.5) / count
-            if level == 1:
-                q = (stem.length - offset) / (stem.length - bare)
-                length = stem.length * stem.length_max * shape_ratio(m.shape, q)
-            else:
-                length = stem.length_max * (stem.length - 0.6 * offset)
-            turn = self.vary(m.rotate[n], m.rotate_v[n])
-            azimuth = azimuth + turn if m.rotate[n] >= 0 else azimuth + 180 + turn
-            down = self.down(n, (stem.length - offset) / (stem.length - bare))
-            here, frame = stem.at(offset)
-            frame = frame @ _about_z(np.radians(azimuth)) @ _about_x(np.radians(down))
-            radius = stem.base_radius * (length / stem.length) ** m.ratio_power
-            limit = self.radius(
-                stem.level, stem.base_radius, stem.length, offset / stem.length
-            )
-            radius = min(radius, limit * (0.85 if self.ready else 1.0))
-            if length <= 0 or radius <= 0:
-                continue
-            self.offset[len(self.limbs)] = offset
-            self.carrier[len(self.limbs)] = stem
-            out.append(self.stem(stem.limb, level, here, frame, length, radius))
+def _places(m: WeberPenn, rng: np.random.Generator, trunks: int) -> Array:
+    """Return where trunks stand: one at the origin, several apart on a disc."""
+    out = np.zeros((trunks, 3))
+    if trunks == 1:
         return out
-
-    def down(self, n: int, q: float) -> float:
-        """Down angle [degrees] of a child; q = 1 at the crown's base, 0 at the tip."""
-        m = self.model
-        if m.down_angle_v[n] >= 0:
-            return self.vary(m.down_angle[n], m.down_angle_v[n])
-        return m.down_angle[n] + m.down_angle_v[n] * (1 - 2 * shape_ratio(0, q))
-
-
-def _about(axis: Array, angle: float) -> Array:
-    """Return the rotation matrix about a unit axis."""
-    x, y, z = axis
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
+    apart = 2.5 * (m.scale + m.scale_v) * m.length[0] * m.ratio
+    disc = np.sqrt((trunks - 1) / 2.5 * m.scale * m.ratio)
+    for i in range(trunks):
+        near, tries = True, 0
+        while near:  # a wider disc when the first is full
+            wide = disc * (1 + tries / 100)
+            r, angle = wide * np.sqrt(rng.random()), 2 * np.pi * rng.random()
+            out[i] = r * np.cos(angle), r * np.sin(angle), 0
+            near = i > 0 and (np.linalg.norm(out[:i] - out[i], axis=1) < apart).any()
+            tries += 1
+    return out
 
 
-def _about_x(angle: float) -> Array:
-    return _about(np.array([1.0, 0.0, 0.0]), angle)
+def _counts(
+    m: WeberPenn, rng: np.random.Generator, stems: Stems, above: Stems | None
+) -> Array:
+    """Return how many children each stem has on each segment, (rows, segments) int."""
+    most = m.branches[min(stems.level + 1, LEVELS - 1)]
+    rows = len(stems.whole)
+    if above is None:
+        number = np.full(rows, float(most))
+        if not m.published:
+            number *= rng.uniform(0.9, 1.1, rows)
+    else:
+        carrier = above.whole[stems.parent]
+        if stems.level == 1:
+            longest = np.maximum(above.longest[stems.parent], 1e-9)
+            number = most * (0.2 + 0.8 * stems.whole / carrier / longest)
+        else:
+            number = most * (1 - 0.5 * stems.offset / carrier)
+    number = number / (1 - m.bare[min(stems.level, LEVELS - 1)])
+    rate = number[:, None] / stems.segments * stems.share
+    rate[np.arange(stems.segments) < stems.start[:, None]] = 0.0
+    # fractions are carried on from segment to segment
+    return np.diff(np.floor(np.cumsum(rate, axis=1) + 1e-9), axis=1, prepend=0).astype(int)
 
 
-def _about_z(angle: float) -> Array:
-    return _about(np.array([0.0, 0.0, 1.0]), angle)
+def _children(
+    m: WeberPenn, rng: np.random.Generator, stems: Stems, above: Stems | None
+) -> tuple[Array, Frames, Stems] | None:
+    """Return feet, first frames and sizes of the children of a level's stems."""
+    level, segments = stems.level, stems.segments
+    n, over = min(level + 1, LEVELS - 1), min(level, LEVELS - 1)
+    first = rng.uniform(0, 360, len(stems.whole))
+    if m.branches[n] < 0:
+        row, t, azimuth = _fan(m, n, stems)
+    else:
+        counts = _counts(m, rng, stems, above)
+        if counts.sum() > MOST:
+            raise GeometryError(
+                f"level {level + 1} grows {counts.sum():,} stems, more than {MOST:,}. "
+                f"Lower branches[{n}] = {m.branches[n]}, or seg_splits."
+            )
+        place = _whorls if m.branch_dist[n] > 1 else _single
+        row, t, azimuth = place(m, n, stems, counts, first)
+    noise = rng.uniform(-1, 1, (2, len(row)))
+    whole = stems.whole[row]
+    offset = t / segments * whole
+    azimuth = azimuth + m.rotate_v[n] * noise[0] * np.where(azimuth < 0, -1, 1)
+    down = np.full(len(row), float(m.down_angle[n]))
+    if m.down_angle_v[n] >= 0:
+        down += m.down_angle_v[n] * noise[1]
+    else:
+        q = (whole - offset) / (whole * (1 - m.bare[over]))
+        down += m.down_angle_v[n] * (1 - 2 * shape_ratio(0, q))
+        if not m.published:
+            down += 0.1 * np.abs(down) * noise[1]
+    if level == 0:
+        q = np.clip((whole - offset) / (whole - stems.base[row]), 0, 1)
+        length = whole * stems.longest[row] * shape_ratio(m.shape, q, m)
+    else:
+        length = stems.longest[row] * (whole - (0.6 if m.published else 0.7) * offset)
+    length = np.maximum(length, 0.0)
+    fan = m.branches[n] < 0
+    limit = radius_at(m, level, stems.size[row], whole, offset / whole)
+    if fan:  # the tip has no radius left to limit them
+        limit = np.maximum(limit, 0.5 * stems.size[row])
+    radius = m.radius_mod[n] * stems.size[row] * (length / whole) ** m.ratio_power
+    radius = np.minimum(radius if m.published else np.maximum(radius, 0.005), limit)
+    keep = (length > 1e-4) & (radius > (THINNEST if m.published else 1e-4))
+    if not keep.any():
+        return None
+    row, t, offset = row[keep], t[keep], offset[keep]
+    azimuth, down = azimuth[keep], down[keep]
+    start, tangent = stems.at(row, t)
+    s = np.minimum(t.astype(int), segments - 1)
+    frames = on_tangent(stems.side[row, s], tangent)
+    if fan:
+        frames = about_x(about_y(frames, np.radians(azimuth)), np.radians(down))
+    else:
+        frames = rolled(frames, azimuth, down)
+    seed = _seed(m, rng, level + 1, length[keep], radius[keep])
+    return (
+        start,
+        frames,
+        _with(
+            seed, parent=row, offset=offset, base=stems.base[row], height=stems.height[row]
+        ),
+    )
+
+
+def _single(
+    m: WeberPenn, n: int, stems: Stems, counts: Array, first: Array
+) -> tuple[Array, Array, Array]:
+    """Place children one by one: (row, t in segments, azimuth in degrees)."""
+    flat = counts.ravel()
+    cell = np.repeat(np.arange(flat.size), flat)
+    k = np.arange(len(cell)) - np.repeat(np.cumsum(flat) - flat, flat)
+    row, s = cell // stems.segments, cell % stems.segments
+    shift = np.where(k % 2 == 1, m.branch_dist[n], 0.0)
+    middle = 0.5 if m.published else 0.0
+    t = s + np.clip((k + middle - shift) / flat[cell], 0, 1)
+    keep = t / stems.segments > m.bare[min(stems.level, LEVELS - 1)]
+    if m.published and stems.level == 0:
+        keep = t / stems.segments * stems.whole[row] > stems.base[row]
+    row, t = row[keep], t[keep]
+    place = np.arange(len(row)) - np.searchsorted(row, row)  # among its siblings
+    if m.rotate[n] >= 0:
+        return row, t, first[row] + m.rotate[n] * (place + 1)
+    return row, t, np.where(place % 2 == 0, 1.0, -1.0) * (180 + m.rotate[n])
+
+
+def _whorls(
+    m: WeberPenn, n: int, stems: Stems, counts: Array, first: Array
+) -> tuple[Array, Array, Array]:
+    """Place children in whorls of branch_dist + 1."""
+    each = m.branch_dist[n] + 1
+    whorls = (counts / each + 1e-9).astype(int).ravel()
+    cell = np.repeat(np.arange(whorls.size), whorls)
+    w = np.arange(len(cell)) - np.repeat(np.cumsum(whorls) - whorls, whorls)
+    row = cell // stems.segments
+    t = cell % stems.segments + w / whorls[cell]
+    turn = first[row] + m.rotate[n] * (np.arange(len(row)) - np.searchsorted(row, row))
+    size = np.floor((w + 1) * each + 1e-9) - np.floor(w * each + 1e-9)
+    size[t / stems.segments <= m.bare[min(stems.level, LEVELS - 1)]] = 0
+    size = size.astype(int)
+    pick = np.repeat(np.arange(len(size)), size)
+    k = np.arange(len(pick)) - np.repeat(np.cumsum(size) - size, size)
+    return row[pick], t[pick], turn[pick] + 360 * k / size[pick]
+
+
+def _fan(m: WeberPenn, n: int, stems: Stems) -> tuple[Array, Array, Array]:
+    """Place children side by side at the tip, spread over `rotate` degrees."""
+    number = max(1, int(abs(m.branches[n]) / (1 - m.bare[min(stems.level, LEVELS - 1)])))
+    row = np.repeat(np.arange(len(stems.whole)), number)
+    k = np.tile(np.arange(number), len(stems.whole))
+    spread = m.rotate[n] * (k / max(number - 1, 1) - 0.5 * (number > 1))
+    return row, np.full(len(row), float(stems.segments)), spread
+
+
+def _joined(m: WeberPenn, levels: list[Stems]) -> Skeleton:
+    """Return the skeleton of all stems: sampled curves, radii, joints."""
+    points, radius, limb_of, joint, depth = [], [], [], [], []
+    firsts: list[Array] = []  # of each level: first node of each stem
+    grids: list[dict[int, Array]] = []
+    limbs = nodes = 0
+    for stems in levels:
+        rows = len(stems.whole)
+        grid = {int(s): _grid(m, stems, int(s)) for s in np.unique(stems.start)}
+        size = np.array([len(grid[int(s)]) for s in stems.start])
+        first = nodes + np.cumsum(size) - size
+        p, r = np.empty((size.sum(), 3)), np.empty(size.sum())
+        for s, t in grid.items():
+            pick = np.flatnonzero(stems.start == s)
+            where = (first[pick] - nodes)[:, None] + np.arange(len(t))
+            time = np.tile(t, (len(pick), 1))
+            p[where] = stems.at(np.repeat(pick[:, None], len(t), axis=1), time)[0]
+            foot, whole = stems.size[pick, None], stems.whole[pick, None]
+            thin = radius_at(m, stems.level, foot, whole, time / stems.segments)
+            r[where] = np.maximum(thin, np.maximum(1e-3 * foot, THINNEST))
+        at = np.full(rows, -1)
+        clones = np.flatnonzero(stems.origin >= 0)
+        own = np.flatnonzero(stems.origin < 0)
+        at[clones] = _node(
+            first, grid, stems, stems.origin[clones], stems.start[clones].astype(float)
+        )
+        if stems.level:
+            above = levels[stems.level - 1]
+            up = stems.parent[own]
+            t = stems.offset[own] / above.whole[up] * above.segments
+            at[own] = _node(firsts[-1], grids[-1], above, up, t)
+        points.append(p)
+        radius.append(r)
+        limb_of.append(np.repeat(limbs + np.arange(rows), size))
+        back = np.arange(nodes - 1, nodes + len(p) - 1)
+        back[first - nodes] = at
+        joint.append(back)
+        depth.append(np.full(rows, stems.level))
+        firsts.append(first)
+        grids.append(grid)
+        limbs += rows
+        nodes += len(p)
+    return Skeleton(
+        np.round(np.concatenate(points), 9),  # so that all machines agree
+        np.round(np.concatenate(radius), 10),
+        np.concatenate(joint),
+        np.concatenate(limb_of),
+        np.concatenate(depth),
+    )
+
+
+def _grid(m: WeberPenn, stems: Stems, start: int) -> Array:
+    """Return where a stem's nodes are, in segments from the foot."""
+    n, segments = min(stems.level, LEVELS - 1), stems.segments
+    fine = 8 if stems.level < 2 else 4
+    if m.taper[n] > 2:  # beads
+        fine = 48
+    each = max(2, -(-fine // segments)) if segments > 1 else fine
+    each = 6 if stems.helix is not None else each
+    t = np.linspace(start, segments, (segments - start) * each + 1)
+    if stems.level == 0 and m.flare and start == 0:
+        t = np.union1d(t, segments * np.array([1 / 64, 1 / 32, 1 / 16, 3 / 32, 1 / 8]))
+    if 1 < m.taper[n] <= 2:  # a round tip
+        t = np.union1d(t, segments - np.array([0.3, 0.1, 0.03]) / each)
+    return t[np.append(True, np.diff(t) > 1e-6)]
+
+
+def _node(
+    first: Array, grid: dict[int, Array], stems: Stems, row: Array, t: Array
+) -> Array:
+    """Return the node at or before t of stems."""
+    out = np.empty(len(row), dtype=int)
+    for s, times in grid.items():
+        pick = stems.start[row] == s
+        i = np.searchsorted(times, t[pick] + 1e-9, side="right") - 1
+        out[pick] = first[row[pick]] + np.clip(i, 0, len(times) - 1)
+    return out

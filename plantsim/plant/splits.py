@@ -1,0 +1,141 @@
+"""Where stems split into clones, and how far the parts turn from each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plantsim.arrays import Array
+from plantsim.errors import GeometryError
+from plantsim.plant.frames import (
+    Frames,
+    about_vertical,
+    about_x,
+    about_y,
+    declination,
+)
+from plantsim.plant.parameters import LEVELS, WeberPenn
+
+MOST = 200_000  # stems of a level: more is a slip in seg_splits or branches
+
+
+@dataclass(eq=False)
+class Splits:
+    """Where the stems of a level split: a walk along them one after another."""
+
+    model: WeberPenn
+    rng: np.random.Generator
+    level: int
+    segments: int
+
+    def __post_init__(self) -> None:
+        self.start: list[int] = []
+        self.origin: list[int] = []
+        self.number: list[int] = []  # which clone of its split
+        self.count: list[int] = []  # how many clones its split makes
+        self.share: list[list[float]] = []
+        self.at: dict[tuple[int, int], int] = {}  # (row, segment) -> clones
+        self.error = 0.0
+        m, n = self.model, min(self.level, LEVELS - 1)
+        self.rate = m.seg_splits[n]
+        self.first = int(np.ceil(m.bare[0] * max(1, int(m.curve_res[0]))))
+        self.based = self.level == 0 and m.base_splits > 0
+
+    def add(self, start: int, origin: int, number: int, count: int) -> int:
+        """Note a stem and return its row; `number` of `count` clones of its split."""
+        self.start.append(start)
+        self.origin.append(origin)
+        self.number.append(number)
+        self.count.append(count)
+        self.share.append([1.0] * self.segments)
+        if len(self.start) > MOST:
+            raise GeometryError(
+                f"level {self.level} grows more than {MOST} stems: seg_splits "
+                f"{self.rate} over {self.segments} segments is too much. Lower it."
+            )
+        return len(self.start) - 1
+
+    def walk(self, row: int, start: int, chance: float, factor: float) -> None:
+        """Split a stem along its segments; error diffusion carries fractions on."""
+        m, share = self.model, self.share[row]
+        gain = factor if m.published else factor * (1 - start / self.segments)
+        for s in range(start + 1, self.segments + 1):
+            clones = 0
+            base = self.based and s == self.first
+            if base:
+                clones = int(m.base_splits)
+            elif (
+                self.rate > 0
+                and s < self.segments
+                and (self.level > 0 or s > self.first)
+                and (m.published or self.rng.random() <= chance)
+            ):
+                clones = int(self.rate + self.error + 1e-9)
+                self.error -= clones - self.rate
+                if not m.published:  # the program splits ever more rarely
+                    chance /= clones + 1
+                    factor = max(0.8, factor / (clones + 1))
+                    gain *= factor
+            share[s - 1] = gain
+            if clones and m.published:  # together they carry nBranches children
+                gain = factor = gain / (clones + 1)
+            if clones and s < self.segments:
+                self.at[row, s] = clones
+                for j in range(clones):
+                    clone = self.add(s, row, j, -clones if base else clones)
+                    self.walk(clone, s, chance, factor)
+
+
+def turned_by_split(
+    m: WeberPenn,
+    n: int,
+    now: Frames,
+    rows: Array,
+    clones: Array,
+    split: Splits,
+    noise: Array,
+    of: Array,
+) -> tuple[Frames, Frames, Array]:
+    """Return the frames of splitting stems and of their clones, and the tilts [degrees].
+
+    `now`: frames of all stems; `rows` split and `clones` begin; `of`: the stem that each
+    splits from; `noise` (4, all) uniform in -1 .. 1.
+    """
+    origin = of[clones]
+    number = np.array(split.number)[clones]
+    count = np.array(split.count)
+    base = count[clones] < 0
+    many = np.zeros(len(noise[0]), dtype=int)
+    many[origin] = np.abs(count[clones])
+    direct = m.split_angle[n] < 0
+    lean = declination(now.z)
+    tilt = np.maximum(0.0, m.split_angle[n] + noise[0] * m.split_angle_v[n] - lean)
+    spread = 20 + 0.75 * (30 + np.abs(lean - 90) * ((noise[1] + 1) / 2) ** 2)
+    if direct:  # in the plane of the stem, by the program
+        tilt = np.zeros_like(tilt)
+        spread = np.abs(m.split_angle[n]) + noise[0] * m.split_angle_v[n]
+    share = 1.0 if m.published else 0.5  # the program halves tilt and spread
+    side = np.where(number % 2 == 0, -1.0, 1.0)
+    if m.published:  # one clone goes to either side by chance
+        side = side * np.where(noise[2, origin] < 0, -1.0, 1.0)
+    turn = side * spread[origin] * (share if not direct else 0.5)
+    ring = (number + 1) * 360 / (many[origin] + 1) + noise[3, clones] * m.split_angle_v[n]
+    turn = np.where(base, ring, turn)
+    clone = about_x(now.picked(origin), np.radians(share * tilt[origin]))
+    old = about_x(now.picked(rows), np.radians(share * tilt[rows]))
+    alone = np.zeros(len(many), dtype=bool)
+    alone[origin[~base]] = True
+    alone &= many == 1
+    back = np.where(alone[rows], spread[rows] / 2, 0.0)
+    if direct:
+        return (
+            about_y(old, np.radians(back)),
+            about_y(clone, np.radians(turn)),
+            tilt,
+        )
+    if m.published:
+        back = np.zeros_like(back)
+    return (
+        about_vertical(old, np.radians(back)),
+        about_vertical(clone, np.radians(turn)),
+        tilt,
+    )

@@ -1,0 +1,331 @@
+"""All stems of one level of the tree model: where they split, how they run, how thick.
+
+The stems of a level walk together, one segment after the other, as arrays. The number of
+random draws depends on the number of stems only, so a tree is a function of its seed.
+Names in comments are those of Weber and Penn 1995; "the program" is tree-gen.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from plantsim.arrays import Array
+from plantsim.plant.frames import (
+    Frames,
+    about_x,
+    about_y,
+    about_z,
+    declination,
+    towards,
+)
+from plantsim.plant.parameters import LEVELS, WeberPenn
+from plantsim.plant.profile import shape_ratio
+from plantsim.plant.splits import Splits, turned_by_split
+
+HELIX = 6  # points that follow half a turn of a helix
+
+
+@dataclass(frozen=True, eq=False)
+class Helix:
+    """Stems wound round straight axes, half a turn a segment, beginning at their foot."""
+
+    foot: Array  # (m, 3) [m]
+    frames: Frames  # z along the axis of each helix
+    rise: Array  # (m,) along the axis, a segment [m]
+    radius: Array  # (m,) of the helix [m]
+    phase: Array  # (m,)
+
+    def at(self, row: Array, t: Array) -> tuple[Array, Array]:
+        """Return points and tangents (.., 3) at t in segments from the foot."""
+        x, y, z = (v[row] for v in (self.frames.x, self.frames.y, self.frames.z))
+        begin, turn = self.phase[row], self.phase[row] + np.pi * t
+        r, rise = self.radius[row], self.rise[row]
+        points = (
+            self.foot[row]
+            + (r * (np.cos(turn) - np.cos(begin)))[..., None] * x
+            + (r * (np.sin(turn) - np.sin(begin)))[..., None] * y
+            + (rise * t)[..., None] * z
+        )
+        way = (
+            (-r * np.pi * np.sin(turn))[..., None] * x
+            + (r * np.pi * np.cos(turn))[..., None] * y
+            + rise[..., None] * z
+        )
+        return points, way / np.sqrt(np.einsum("...i,...i->...", way, way))[..., None]
+
+
+@dataclass(frozen=True, eq=False)
+class Stems:
+    """The stems of one level, m of them; a clone is a stem that begins at a split."""
+
+    level: int
+    segments: int  # of a whole stem
+    parent: Array  # (m,) row in the level above; -1 for trunks
+    offset: Array  # (m,) where a stem sits on its parent [m]
+    whole: Array  # (m,) length [m] of the whole stem, which clones have too
+    size: Array  # (m,) radius [m] at the foot of the whole stem
+    longest: Array  # (m,) children's length as a share of this one's
+    start: Array  # (m,) int, segment at which a clone begins; 0 for the others
+    origin: Array  # (m,) row of the stem that a clone splits from, else -1
+    share: Array  # (m, segments) factor of the number of children, by segment
+    base: Array  # (m,) bare length [m] of the trunk that a stem belongs to
+    height: Array  # (m,) size of the tree (Scale as drawn) [m]
+    nodes: Array  # (m, segments + 1, 3) ends of segments [m], void before `start`
+    bend: Array  # (m, segments + 1, 3) second derivative of the curve through them
+    side: Array  # (m, segments, 3) local y of each segment
+    helix: Helix | None = None
+    spared: int = 0  # stems of this level that got no course, see `grow_level`
+
+    def at(self, row: Array, t: Array) -> tuple[Array, Array]:
+        """Return points and tangents (.., 3) of stems at t in segments from the foot."""
+        if self.helix is not None:
+            return self.helix.at(row, t)
+        s = np.clip(t.astype(int), self.start[row], self.segments - 1)
+        b = (t - s)[..., None]
+        a = 1 - b
+        p, q = self.nodes[row, s], self.nodes[row, s + 1]
+        u, v = self.bend[row, s], self.bend[row, s + 1]
+        points = a * p + b * q + (a**3 - a) / 6 * u + (b**3 - b) / 6 * v
+        way = q - p - (3 * a * a - 1) / 6 * u + (3 * b * b - 1) / 6 * v
+        size = np.sqrt(np.einsum("...i,...i->...", way, way))
+        return points, way / np.maximum(size, 1e-12)[..., None]
+
+
+def grow_level(
+    m: WeberPenn,
+    rng: np.random.Generator,
+    level: int,
+    start: Array,
+    frames: Frames,
+    seed: Stems,
+    wanted: Array | None = None,
+) -> Stems:
+    """Return the stems of a level from where they begin.
+
+    `start` (m, 3) [m] and `frames` (m): feet and first directions. `seed`: the stems with
+    everything but splits and nodes. `wanted`: a mask of stems that are worth a course, for
+    a level that neither splits nor bears another; the others are left out, but the random
+    draws are the same.
+    """
+    n = min(level, LEVELS - 1)
+    segments = max(1, int(m.curve_res[n]))
+    many = len(start)
+    rows = np.arange(many)
+    split = None
+    if m.curve_v[n] >= 0 and (m.seg_splits[n] > 0 or (level == 0 and m.base_splits > 0)):
+        split = Splits(m, rng, level, segments)
+        for _ in range(many):
+            split.add(0, -1, 0, 0)
+        for row in range(many):
+            split.walk(row, 0, 1.0, 1.0)
+        origin = np.array(split.origin)
+        rows = np.where(origin < 0, np.arange(len(origin)), 0)
+        for i in range(many, len(origin)):
+            rows[i] = rows[origin[i]]
+    stems = replace(
+        seed,
+        segments=segments,
+        parent=seed.parent[rows],
+        offset=seed.offset[rows],
+        whole=seed.whole[rows],
+        size=seed.size[rows],
+        longest=seed.longest[rows],
+        base=seed.base[rows],
+        height=seed.height[rows],
+        start=np.array(split.start) if split else np.zeros(many, dtype=int),
+        origin=np.array(split.origin) if split else np.full(many, -1),
+        share=np.array(split.share) if split else np.ones((many, segments)),
+    )
+    if m.curve_v[n] < 0:
+        return _wound(m, rng, stems, start, frames)
+    noise = rng.uniform(-1, 1, (4, len(rows), segments))
+    if wanted is not None and split is None:
+        spared = int((~wanted).sum())
+        stems = replace(stems, side=stems.share, spared=spared)
+        stems = picked_stems(stems, wanted, np.cumsum(wanted) - 1)
+        start, frames, noise = start[wanted], frames.picked(wanted), noise[:, wanted]
+        many, rows = len(start), rows[wanted]
+    ways = _directions(m, noise, stems, frames, split)
+    stems = replace(stems, side=ways.y)
+    keep = np.ones(len(rows), dtype=bool)
+    if m.prune_ratio > 0:
+        stems, keep = _fitted(m, stems, start, ways.z)
+    if not keep.all():
+        stems = picked_stems(stems, keep, np.cumsum(keep) - 1)
+        ways = ways.picked(keep)
+        start = start[keep[:many]]
+    return _placed(stems, start, ways.z)
+
+
+def picked_stems(stems: Stems, keep: Array, new: Array, up: Array | None = None) -> Stems:
+    """Return the stems in a mask; `new` and `up`: new rows of origins and of parents."""
+    names = ["parent", "offset", "whole", "size", "longest", "base", "height", "start"]
+    names += ["origin", "share", "side", *(("nodes", "bend") if stems.nodes.size else ())]
+    values: dict[str, Any] = {k: getattr(stems, k)[keep] for k in names}
+    values["origin"] = np.where(values["origin"] < 0, -1, new[values["origin"]])
+    if up is not None:
+        values["parent"] = np.where(values["parent"] < 0, -1, up[values["parent"]])
+    if stems.helix is not None:
+        h = stems.helix
+        values["helix"] = Helix(
+            h.foot[keep], h.frames.picked(keep), h.rise[keep], h.radius[keep], h.phase[keep]
+        )
+    return replace(stems, **values)
+
+
+def _directions(
+    m: WeberPenn,
+    noise: Array,
+    stems: Stems,
+    frames: Frames,
+    split: Splits | None,
+) -> Frames:
+    """Return the frame of every segment, (rows, segments, 3) each of x, y, z."""
+    n, segments, total = min(stems.level, LEVELS - 1), stems.segments, len(stems.start)
+    out = Frames(*(np.zeros((total, segments, 3)) for _ in range(3)))
+    now = Frames(*(np.zeros((total, 3)) for _ in range(3)))
+    now.put(np.arange(len(frames.z)), frames)
+    give_back = np.zeros(total)  # degrees a segment that undo the splits
+    begun = stems.start == 0
+    out.put((begun, 0), now.picked(begun))
+    for s in range(1, segments):
+        clones = np.flatnonzero(stems.start == s)
+        splitting = np.zeros(total, dtype=bool)
+        if split is not None and len(clones):
+            origin = stems.origin[clones]
+            splitting[origin] = True
+            rows = np.flatnonzero(splitting)
+            turned = turned_by_split(
+                m, n, now, rows, clones, split, noise[:, :, s], stems.origin
+            )
+            tilt = turned[2]
+            give_back[rows] = tilt[rows] / (segments + 1 - s)
+            give_back[clones] = give_back[origin]
+            now.put(rows, turned[0])
+            now.put(clones, turned[1])
+        plain = begun & ~splitting
+        if plain.any():
+            angle = m.curve[n] / segments
+            if m.curve_back[n]:
+                half = m.curve[n] if s < segments / 2 else m.curve_back[n]
+                angle = half / (segments / 2)
+            pick = slice(None) if plain.all() else plain
+            turn = angle + noise[0, pick, s] * m.curve_v[n] / segments - give_back[pick]
+            f = now.picked(pick)
+            if m.bend_v[n]:
+                f = about_y(f, -np.radians(noise[1, pick, s] * m.bend_v[n] / segments))
+            now.put(pick, about_x(f, np.radians(turn)))
+        pick = slice(None) if begun.all() else begun
+        now.put(pick, _attracted(m, stems.level, segments, now.picked(pick)))
+        begun = begun | (stems.start == s)
+        out.put((begun, s), now.picked(begun))
+    return out
+
+
+def _attracted(m: WeberPenn, level: int, segments: int, f: Frames) -> Frames:
+    """Turn frames up (or as tropism says) by one segment's share."""
+    if m.published and m.tropism is None:
+        if level < 2 or m.attraction_up == 0:
+            return f
+        up = m.attraction_up * np.radians(declination(f.z)) * f.y[..., 2] / segments
+        return about_x(f, -up)
+    pull = np.array(m.tropism if m.tropism is not None else (0.0, 0.0, m.attraction_up))
+    if level < 2:
+        pull[2] = 0.0
+    return towards(f, pull, np.radians(10.0)) if pull.any() else f
+
+
+def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stems, Array]:
+    """Shorten stems to the pruning envelope; (stems, a mask of those that stay)."""
+    segments = stems.segments
+    own = np.flatnonzero(stems.origin < 0)
+    first = int(np.ceil(m.bare[0] * max(1, int(m.curve_res[0]))))
+    reach = np.cumsum(ways[own], axis=1) / segments
+    path = reach[:, -1:] if stems.level == 0 and first > 0 else reach
+    factor = np.ones(len(own))
+    step = 0.9 if not m.published else 0.95
+    open_ = np.ones(len(own), dtype=bool)
+    least = 0.15 if not m.published else 0.02
+    while open_.any():
+        i = np.flatnonzero(open_)
+        points = (
+            start[own[i], None] + path[i] * (factor[i] * stems.whole[own[i]])[:, None, None]
+        )
+        tall = stems.height[own[i], None]
+        q = (tall - points[..., 2]) / (tall * (1 - m.bare[0]))
+        out = np.hypot(points[..., 0], points[..., 1]) / tall
+        good = (out < m.prune_width * shape_ratio(8, q, m)).all(axis=1)
+        open_[i[good]] = False
+        factor[i[~good]] *= step
+        gone = open_ & (factor < least)
+        factor[gone] = 0.0
+        open_[gone] = False
+    length = 1 - m.prune_ratio + m.prune_ratio * factor
+    # clones have the fitted length of the stem that they split from
+    root = np.arange(len(stems.origin))
+    for i in np.flatnonzero(stems.origin >= 0):
+        root[i] = root[stems.origin[i]]
+    scale = length[root]
+    keep = scale > 1e-3
+    power = 1.0 if stems.level == 0 else m.ratio_power
+    return replace(stems, whole=stems.whole * scale, size=stems.size * scale**power), keep
+
+
+def _placed(stems: Stems, start: Array, ways: Array) -> Stems:
+    """Return the stems with nodes and the natural spline through them."""
+    segments, total = stems.segments, len(stems.start)
+    step = ways * (stems.whole / segments)[:, None, None]
+    nodes = np.zeros((total, segments + 1, 3))
+    bend = np.zeros_like(nodes)
+    for s in np.unique(stems.start):
+        rows = np.flatnonzero(stems.start == s)
+        clones = stems.origin[rows] >= 0
+        foot = np.where(
+            clones[:, None], nodes[stems.origin[rows], s], start[np.where(clones, 0, rows)]
+        )
+        nodes[rows, s] = foot
+        nodes[rows, s + 1 :] = foot[:, None] + np.cumsum(step[rows, s:], axis=1)
+        bend[rows, s:] = _second(segments - s) @ nodes[rows, s:]
+    return replace(stems, nodes=nodes, bend=bend)
+
+
+def _wound(
+    m: WeberPenn, rng: np.random.Generator, stems: Stems, start: Array, frames: Frames
+) -> Stems:
+    """Return stems wound to helices whose declination from the axis is |CurveV|."""
+    angle = np.radians(abs(m.curve_v[min(stems.level, LEVELS - 1)]))
+    noise = rng.random((3, len(start)))
+    step = stems.whole / stems.segments
+    if m.published:  # arc length is the stem's length
+        rise = step * np.cos(angle)
+        radius = step * np.sin(angle) / np.pi
+    else:  # the program's axis has the stem's length, and its radius is approximate
+        rise = step * (0.8 + 0.4 * noise[0])
+        radius = 6 * rise * np.tan(angle) / 16 * (0.8 + 0.4 * noise[1])
+    frames = _attracted(m, stems.level, stems.segments, frames)
+    helix = Helix(start, frames, rise, radius, 2 * np.pi * noise[2])
+    out = replace(
+        stems,
+        helix=helix,
+        side=np.repeat(frames.y[:, None], stems.segments, axis=1),
+        nodes=np.zeros((len(start), 0, 3)),
+        bend=np.zeros((len(start), 0, 3)),
+    )
+    return out
+
+
+@cache
+def _second(segments: int) -> Array:
+    """Return the matrix from segments + 1 nodes to the spline's second derivatives."""
+    if segments < 2:
+        return np.zeros((segments + 1, segments + 1))
+    grid = np.arange(segments + 1.0)
+    return CubicSpline(grid, np.eye(segments + 1), bc_type="natural")(grid, 2)
+
+
+def rolled(frames: Frames, azimuth: Array, down: Array) -> Frames:
+    """Return frames turned about their z and then tipped down, both in degrees."""
+    return about_x(about_z(frames, np.radians(azimuth)), np.radians(down))
