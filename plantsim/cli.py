@@ -85,7 +85,7 @@ def grow(
     """
     if list_:
         table = Table(title=f"species, grown with seed {seed}", title_justify="left")
-        for column in ("species", "height [m]", "limbs", "thinnest radius [mm]"):
+        for column in ("species", "height, m", "limbs", "thinnest radius, mm"):
             table.add_column(column, justify="left" if column == "species" else "right")
         for name in ps.species_names():
             found = ps.weber_penn(name, rng=seed)
