@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
     from plantsim.elastic.loads import force as force
     from plantsim.elastic.loads import gravity as gravity
+    from plantsim.elastic.loads import hang as hang
+    from plantsim.elastic.loads import hold as hold
     from plantsim.elastic.loads import move as move
+    from plantsim.elastic.loads import traction as traction
     from plantsim.elastic.material import Material as Material
     from plantsim.elastic.model import ElasticModel as ElasticModel
     from plantsim.errors import DependencyError as DependencyError
@@ -57,7 +60,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "plantsim.elastic.equilibrium": ("Equilibrium",),
-    "plantsim.elastic.loads": ("force", "gravity", "move"),
+    "plantsim.elastic.loads": ("force", "gravity", "hang", "hold", "move", "traction"),
     "plantsim.elastic.material": ("Material",),
     "plantsim.elastic.model": ("ElasticModel",),
     "plantsim.errors": (

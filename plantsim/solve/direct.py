@@ -67,14 +67,14 @@ class DirectFactor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
 
-    def __call__(self, f: Array) -> tuple[Array, int, float]:
-        """Return the solution, 0 iterations and the backward error."""
+    def __call__(self, f: Array) -> tuple[Array, int, Array]:
+        """Return the solution (n,) or (n, k), 0 iterations and the backward errors."""
         u = self.lu.solve(f)
         error = backward_error(self.K, self.size, u, f)
-        if not error <= self.tolerance:
+        if not (error <= self.tolerance).all():
             raise SolverError(
-                f"direct: backward error {error:.1e}, wanted {self.tolerance:.1e}. The "
-                "system is nearly singular: hold more vertices, or check for moduli of "
+                f"direct: backward error {error.max():.1e}, wanted {self.tolerance:.1e}. "
+                "The system is nearly singular: hold more vertices, or check for moduli of "
                 "very different size."
             )
         return u, 0, error
@@ -99,4 +99,4 @@ class _Pardiso:
             ) from None
 
     def solve(self, f: Array) -> Array:
-        return self._solver.solve(self._upper, np.ascontiguousarray(f)).reshape(f.shape)
+        return self._solver.solve(self._upper, np.asfortranarray(f)).reshape(f.shape)

@@ -26,11 +26,11 @@ def norm_inf(K: Any) -> float:
     return float(abs(K).sum(axis=1).max()) if K.shape[0] else 0.0
 
 
-def backward_error(K: Any, size: float, u: Array, f: Array) -> float:
-    """Return |K u - f| / (size |u| + |f|) in 2-norms, `size` a norm of K.
+def backward_error(K: Any, size: float, u: Array, f: Array) -> Array:
+    """Return |K u - f| / (size |u| + |f|) in 2-norms of each column, `size` a norm of K.
 
     On slender limbs |r| / |f| stalls even for a direct factor; this does not.
     Source: Rigal and Gaches 1967; Higham, Accuracy and Stability, section 7.1.
     """
-    scale = size * np.linalg.norm(u) + np.linalg.norm(f)
-    return float(np.linalg.norm(K @ u - f) / scale) if scale else 0.0
+    scale = size * np.linalg.norm(u, axis=0) + np.linalg.norm(f, axis=0)
+    return np.linalg.norm(K @ u - f, axis=0) / np.where(scale > 0, scale, 1)
