@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from plantsim.elastic.loads import traction as traction
     from plantsim.elastic.material import Material as Material
     from plantsim.elastic.model import ElasticModel as ElasticModel
+    from plantsim.elastic.modes import modes as modes
     from plantsim.errors import DependencyError as DependencyError
     from plantsim.errors import EstimateError as EstimateError
     from plantsim.errors import FileError as FileError
@@ -53,6 +54,10 @@ if TYPE_CHECKING:
     from plantsim.solid.tetrahedralize import tetrahedralize as tetrahedralize
     from plantsim.solve.direct import Direct as Direct
     from plantsim.solve.multigrid import Multigrid as Multigrid
+    from plantsim.touch.grasp import grasp as grasp
+    from plantsim.touch.grasp import nearest_vertices as nearest_vertices
+    from plantsim.touch.sequences import lowest as lowest
+    from plantsim.touch.sequences import sample_touches as sample_touches
     from plantsim.view.figures import figure_deformation as figure_deformation
     from plantsim.view.figures import figure_material as figure_material
 
@@ -63,6 +68,7 @@ _HOME = {
     "plantsim.elastic.loads": ("force", "gravity", "hang", "hold", "move", "traction"),
     "plantsim.elastic.material": ("Material",),
     "plantsim.elastic.model": ("ElasticModel",),
+    "plantsim.elastic.modes": ("modes",),
     "plantsim.errors": (
         "DependencyError",
         "EstimateError",
@@ -92,6 +98,8 @@ _HOME = {
     "plantsim.solid.tetrahedralize": ("tetrahedralize",),
     "plantsim.solve.direct": ("Direct",),
     "plantsim.solve.multigrid": ("Multigrid",),
+    "plantsim.touch.grasp": ("grasp", "nearest_vertices"),
+    "plantsim.touch.sequences": ("lowest", "sample_touches"),
     "plantsim.view.figures": ("figure_deformation", "figure_material"),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}

@@ -75,6 +75,11 @@ class MultigridFactor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
 
+    @property
+    def preconditioner(self) -> Any:
+        """One V cycle as a linear operator."""
+        return self.levels.aspreconditioner(cycle="V")
+
     def __call__(self, f: Array) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), the CG iterations, the backward errors."""
         if f.ndim == 1:
@@ -98,7 +103,7 @@ class MultigridFactor:
                 tol=0.9 * tol,
                 criteria="rr+",
                 maxiter=self.max_iterations,
-                M=self.levels.aspreconditioner(cycle="V"),
+                M=self.preconditioner,
                 residuals=residuals,
             )
         iterations = len(residuals) - 1
