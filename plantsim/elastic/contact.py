@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.errors import ModelError, SolverError
-from plantsim.solve.stats import SolveStats
+from plantsim.solve.stats import SolveStats, norm
 
 if TYPE_CHECKING:
     from plantsim.elastic.model import ElasticModel
@@ -175,8 +175,8 @@ class Contact:
         pushed[self.ids] = u[self.ids]
         residual = ((K @ u.ravel()).reshape(-1, 3) - load)[rest]
         pull = (load - (K @ pushed.ravel()).reshape(-1, 3))[rest]
-        scale = self.model.size * np.linalg.norm(u[rest]) + np.linalg.norm(pull)
-        error = float(np.linalg.norm(residual) / scale) if scale else 0.0
+        scale = self.model.size * norm(u[rest].ravel()) + norm(pull.ravel())
+        error = float(norm(residual.ravel()) / scale) if scale else 0.0
         wanted = 1e-8 if self.dtype == np.float64 else 1e-4
         if not error <= wanted:
             raise SolverError(

@@ -32,10 +32,18 @@ def backward_error(K: Any, size: float, u: Array, f: Array) -> Array:
     On slender limbs |r| / |f| stalls even for a direct factor; this does not.
     Source: Rigal and Gaches 1967; Higham, Accuracy and Stability, section 7.1.
     """
-    scale = size * np.linalg.norm(u, axis=0) + np.linalg.norm(f, axis=0)
-    if u.ndim == 1:
-        residual = np.linalg.norm(K @ u - f)
-    else:  # column by column, which scipy does faster than all together
-        pairs = zip(u.T, f.T, strict=True)
-        residual = np.array([np.linalg.norm(K @ x - b) for x, b in pairs])
-    return residual / np.where(scale > 0, scale, 1)
+    many = u.ndim == 2
+    # column by column, which scipy does faster than all together
+    Ku = np.stack([K @ x for x in u.T], axis=1) if many else K @ u
+    scale = size * norm(u) + norm(f)
+    return norm(Ku - f) / np.where(scale > 0, scale, 1)
+
+
+def norm(x: Array) -> Array:
+    """Return the 2-norm of a vector, or of each column.
+
+    Without BLAS, whose threads take a hundred times as long where other work keeps the
+    cores busy (measured: 7 ms for 15,000 entries).
+    """
+    squares = np.einsum("i,i->", x, x) if x.ndim == 1 else np.einsum("ij,ij->j", x, x)
+    return np.sqrt(squares)
