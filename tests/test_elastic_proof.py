@@ -41,3 +41,15 @@ def test_vibrations(proof):
 def test_manufactured_solution_converges(proof, order, cells, known):
     _, slope = proof.rate(order, cells)
     assert slope == pytest.approx(known, abs=0.2)
+
+
+def test_multigrid_on_a_slender_cantilever():
+    spec = importlib.util.spec_from_file_location("multigrid", BENCHMARKS / "multigrid.py")
+    assert spec is not None
+    assert spec.loader is not None
+    bench = importlib.util.module_from_spec(spec)
+    sys.modules["multigrid"] = bench
+    spec.loader.exec_module(bench)
+    found = bench.refinements("60:1", *bench.slender())
+    assert 0 < max(found) <= 45
+    assert max(found) <= 1.5 * found[0]

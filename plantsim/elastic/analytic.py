@@ -76,7 +76,7 @@ def twist(
     The tapered bar of code_aster's V3.01.400, under 100 N m:
 
     >>> round(1e7 * 100 * twist(1.0, 0.1, 0.05, 2e11, 0.3), 2)
-    386.21
+    386.22
     """
     G = young / (2 * (1 + poisson))
     a, b = base_radius, tip_radius
