@@ -13,9 +13,13 @@ if TYPE_CHECKING:
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
     from plantsim.elastic.loads import force as force
     from plantsim.elastic.loads import gravity as gravity
+    from plantsim.elastic.loads import hang as hang
+    from plantsim.elastic.loads import hold as hold
     from plantsim.elastic.loads import move as move
+    from plantsim.elastic.loads import traction as traction
     from plantsim.elastic.material import Material as Material
     from plantsim.elastic.model import ElasticModel as ElasticModel
+    from plantsim.elastic.modes import modes as modes
     from plantsim.errors import DependencyError as DependencyError
     from plantsim.errors import EstimateError as EstimateError
     from plantsim.errors import FileError as FileError
@@ -56,6 +60,10 @@ if TYPE_CHECKING:
     from plantsim.solid.tetrahedralize import tetrahedralize as tetrahedralize
     from plantsim.solve.direct import Direct as Direct
     from plantsim.solve.multigrid import Multigrid as Multigrid
+    from plantsim.touch.grasp import grasp as grasp
+    from plantsim.touch.grasp import nearest_vertices as nearest_vertices
+    from plantsim.touch.sequences import lowest as lowest
+    from plantsim.touch.sequences import sample_touches as sample_touches
     from plantsim.view.figures import figure_deformation as figure_deformation
     from plantsim.view.figures import figure_material as figure_material
     from plantsim.view.skeletons import figure_skeleton as figure_skeleton
@@ -64,9 +72,10 @@ __version__ = "0.1.0"
 
 _HOME = {
     "plantsim.elastic.equilibrium": ("Equilibrium",),
-    "plantsim.elastic.loads": ("force", "gravity", "move"),
+    "plantsim.elastic.loads": ("force", "gravity", "hang", "hold", "move", "traction"),
     "plantsim.elastic.material": ("Material",),
     "plantsim.elastic.model": ("ElasticModel",),
+    "plantsim.elastic.modes": ("modes",),
     "plantsim.errors": (
         "DependencyError",
         "EstimateError",
@@ -99,6 +108,8 @@ _HOME = {
     "plantsim.solid.tetrahedralize": ("tetrahedralize",),
     "plantsim.solve.direct": ("Direct",),
     "plantsim.solve.multigrid": ("Multigrid",),
+    "plantsim.touch.grasp": ("grasp", "nearest_vertices"),
+    "plantsim.touch.sequences": ("lowest", "sample_touches"),
     "plantsim.view.figures": ("figure_deformation", "figure_material"),
     "plantsim.view.skeletons": ("figure_skeleton",),
 }

@@ -63,3 +63,80 @@ def cantilever_tip(
         return bending + force / (kappa * shear_modulus * np.pi * r**2)
 
     return float(quad(strain, 0, length, epsabs=0, epsrel=1e-10)[0])
+
+
+def twist(
+    length: float, base_radius: float, tip_radius: float, young: float, poisson: float
+) -> float:
+    """Return the twist [rad] of a round bar by an end torque of 1 N m.
+
+    Saint-Venant, 2 L (a^2 + a b + b^2) / (3 pi G a^3 b^3) for radii a to b; exact for
+    a = b. Source: Gere and Goodno, Mechanics of Materials, section 3.4.
+
+    The tapered bar of code_aster's V3.01.400, under 100 N m:
+
+    >>> round(1e7 * 100 * twist(1.0, 0.1, 0.05, 2e11, 0.3), 2)
+    386.22
+    """
+    G = young / (2 * (1 + poisson))
+    a, b = base_radius, tip_radius
+    return 2 * length * (a * a + a * b + b * b) / (3 * np.pi * G * a**3 * b**3)
+
+
+def bending_tip(
+    length: float, base_radius: float, tip_radius: float, young: float
+) -> float:
+    """Return the deflection [m] by an end load of 1 N, of bending alone.
+
+    4 L^3 / (3 pi E a^3 b). Source: Gere and Goodno, problem 9.7. The tapered bar of
+    code_aster's V3.01.400, under 100 N:
+
+    >>> round(1e8 * 100 * bending_tip(1.0, 0.1, 0.05, 2e11), 2)
+    424.41
+    """
+    return 4 * length**3 / (3 * np.pi * young * base_radius**3 * tip_radius)
+
+
+def beam_middle(
+    length: float,
+    radius: float,
+    young: float,
+    poisson: float,
+    weight: float,
+    *,
+    far_end: str,
+) -> float:
+    """Return the deflection [m] at the middle of a clamped round beam by its own weight.
+
+    `weight` [N/m^3]; `far_end` "clamped" or "propped". Timoshenko: bending and shear.
+    Source: Gere and Goodno, tables H-1 and H-2, each with its shear term.
+    """
+    area, inertia = np.pi * radius**2, np.pi * radius**4 / 4
+    EI = young * inertia
+    GA = shear_coefficient(poisson) * young / (2 * (1 + poisson)) * area
+    w, L = weight * area, length
+    if far_end == "clamped":
+        return w * L**4 / (384 * EI) + w * L**2 / (8 * GA)
+    tip = w * L**4 / (8 * EI) + w * L**2 / (2 * GA)
+    prop = tip / (L**3 / (3 * EI) + L / GA)
+    x = L / 2
+    free = (
+        w * x**2 * (6 * L**2 - 4 * L * x + x**2) / (24 * EI) + w * (L * x - x**2 / 2) / GA
+    )
+    return free - prop * (x**2 * (3 * L - x) / (6 * EI) + x / GA)
+
+
+def cantilever_frequencies(
+    length: float, radius: float, young: float, density: float
+) -> np.ndarray:
+    """Return the first three bending frequencies [Hz] of a round cantilever.
+
+    Euler-Bernoulli, from the roots of cos x cosh x = -1. Source: Rao, Mechanical
+    Vibrations, section 8.5.
+
+    >>> bool(abs(cantilever_frequencies(1.0, 0.02, 6e9, 800.0)[0] - 15.325) < 1e-3)
+    True
+    """
+    roots = np.array([1.875104069, 4.694091133, 7.854757438])
+    speed = np.sqrt(young * radius**2 / (4 * density))  # sqrt(E I / (rho A))
+    return roots**2 * speed / (2 * np.pi * length**2)

@@ -1,18 +1,24 @@
 """Equilibrium: a displaced plant, its forces, and the evidence for them."""
 
+import importlib
+import os
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from plantsim.arrays import Array
+from plantsim.elastic.limb_table import LimbTable, limb_table
 from plantsim.solve.stats import SolveStats
 
 if TYPE_CHECKING:
     from plantsim.elastic.model import ElasticModel
 
 LINEAR_LIMIT = np.radians(5.0)  # rotation above which the repr warns of linear theory
+# against a corotational model, ten vertices of a reference tree moved 1, 5 and 15 cm
+FOUND_OFF = "contact forces were 14 % off at 5 degrees, 84 % at 22, over 200 % at 53"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,11 +48,15 @@ class Equilibrium:
         )
 
     @cached_property
+    def strain(self) -> Array:
+        """Mean infinitesimal strain of each tet, (m, 3, 3)."""
+        return (self.gradient + self.gradient.transpose(0, 2, 1)) / 2
+
+    @cached_property
     def stress(self) -> Array:
         """Mean Cauchy stress of each tet, (m, 3, 3) [Pa]."""
-        g = self.gradient
-        strain = (g + g.transpose(0, 2, 1)) / 2
-        mu, lam, _ = self.model.material.per_tet(len(g))
+        strain = self.strain
+        mu, lam, _ = self.model.material.per_tet(len(strain))
         spherical = lam * np.trace(strain, axis1=1, axis2=2)
         return 2 * mu[:, None, None] * strain + spherical[:, None, None] * np.eye(3)
 
@@ -65,6 +75,21 @@ class Equilibrium:
         cosine = (np.trace(R, axis1=1, axis2=2) * np.sign(np.linalg.det(R)) - 1) / 2
         return float(np.arccos(np.clip(cosine, -1, 1)).max())
 
+    @cached_property
+    def limbs(self) -> LimbTable:
+        """What each limb carries at its base, its largest stress, its tip's motion."""
+        return limb_table(self)
+
+    def plot(self, out: str | os.PathLike[str] = "equilibrium.png", **options: Any) -> Path:
+        """Draw the plant at rest and deformed to a PNG, and return its path.
+
+        Options as of `ps.figure_deformation`: `scale=`. Raises DependencyError where
+        pictures cannot be drawn.
+        """
+        # the one call that goes up the house, by a door that opens when it is used
+        figures = importlib.import_module("plantsim.view.figures")
+        return figures.figure_deformation(self, out, **options)
+
     def __repr__(self) -> str:
         length = np.linalg.norm(self.displacement, axis=1)
         far = int(length.argmax())
@@ -77,7 +102,8 @@ class Equilibrium:
         verdict = (
             "linear theory is fine"
             if self.max_rotation <= LINEAR_LIMIT
-            else f"over {np.degrees(LINEAR_LIMIT):.0f}, do not trust linear theory"
+            else f"over {np.degrees(LINEAR_LIMIT):.0f}, do not trust linear theory "
+            f"({FOUND_OFF})"
         )
         return (
             f"Equilibrium({s.unknowns:,} unknowns, {by}, {s.seconds:.2g} s; largest "

@@ -1,6 +1,5 @@
 """ElasticModel: a mesh, a material and supports; loads -> Equilibrium."""
 
-import time
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -8,21 +7,26 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array
 
-from plantsim.arrays import Array, few, vertex_ids
-from plantsim.elastic.contact import Contact
+from plantsim.arrays import Array
+from plantsim.elastic.contact import Columns, Contact
 from plantsim.elastic.equilibrium import Equilibrium
-from plantsim.elastic.loads import Force, Gravity, Load, Move
+from plantsim.elastic.loads import Load, ids_in
 from plantsim.elastic.material import Material
-from plantsim.elastic.stiffness import Blocks, Pattern, blocks
+from plantsim.elastic.pattern import Pattern
+from plantsim.elastic.statics import equilibrium
+from plantsim.elastic.stiffness import Blocks, blocks, mass
 from plantsim.elastic.supports import check_held
 from plantsim.errors import ModelError
 from plantsim.mesh.tetmesh import TetMesh
+from plantsim.solve.direct import Direct
 from plantsim.solve.solver import Choice, Factor, choose
-from plantsim.solve.stats import SolveStats
+from plantsim.solve.stats import norm_inf
 
 KEPT = 2  # factors that a model keeps: with no vertex moved, and for the latest moved set
+FEW = 12  # moved vertices not known yet for which columns are faster than a factor
+MANY = 60  # moved vertices up to which their dense compliance is small
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,24 +54,18 @@ class ElasticModel:
             raise ModelError(f"kinematics {self.kinematics!r} is not known; give 'linear'.")
         self.material.per_tet(len(self.mesh.tets))
         choose(self.solver, 0)
-        ids = self.vertices(self.fixed, "fixed")
+        ids = ids_in(self.mesh, self.fixed, "fixed")
         object.__setattr__(self, "fixed", ids)
         shared = self._shared
-        if (
-            shared is None or shared.mesh is not self.mesh
-        ):  # dataclasses.replace may change it
+        # dataclasses.replace may have changed the mesh
+        if shared is None or shared.mesh is not self.mesh:
             shared = _Shared(self.mesh)
             object.__setattr__(self, "_shared", shared)
         shared.check_held(ids)
 
     def vertices(self, ids: ArrayLike | str, what: str = "vertices") -> Array:
         """Return vertex ids from a set's name, ids or a mask; ModelError names `what`."""
-        if isinstance(ids, str):
-            if ids not in self.mesh.sets:
-                names = ", ".join(self.mesh.sets) or "no sets"
-                raise ModelError(f"{what}: no set {ids!r} in the mesh; there are: {names}.")
-            return self.mesh.sets[ids]
-        return vertex_ids(ids, len(self.mesh.points), what)
+        return ids_in(self.mesh, ids, what)
 
     def with_material(self, material: Material) -> Self:
         """Return the same model of another material; blocks and pattern are shared."""
@@ -86,94 +84,97 @@ class ElasticModel:
         return self._shared.pattern
 
     @cached_property
-    def _K(self) -> bsr_array:
-        mu, lam, _ = self.material.per_tet(len(self.mesh.tets))
-        return self.pattern.assemble(self.blocks.element(mu, lam))
-
-    @cached_property
     def stiffness(self) -> csr_array:
         """K (3n, 3n) [N/m] over all vertices: x, y, z of vertex 0, then of vertex 1, ..."""
-        return self._K.tocsr()
+        mu, lam, _ = self.material.per_tet(len(self.mesh.tets))
+        return self.blocks.stiffness(mu, lam)
+
+    @cached_property
+    def mass_matrix(self) -> csr_array:
+        """Consistent mass matrix (3n, 3n) [kg], on the pattern of K."""
+        _, _, rho = self.material.per_tet(len(self.mesh.tets))
+        return mass(self.mesh, self.pattern, rho)
+
+    @property
+    def fixed_ids(self) -> Array:
+        """Ids of the fixed vertices."""
+        return np.asarray(self.fixed)
+
+    @cached_property
+    def size(self) -> float:
+        """Largest absolute row sum of K [N/m], which bounds its 2-norm."""
+        return norm_inf(self.stiffness)
+
+    def internal(self, ids: Array, u: Array) -> Array:
+        """Return K u at some vertices, (k, 3) [N]; u (n, 3) [m]."""
+        rows = (3 * ids[:, None] + np.arange(3)).ravel()
+        return (self.stiffness[rows] @ u.ravel()).reshape(-1, 3)
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Compliance columns by vertex, kept while memory allows."""
+        return Columns(self)
 
     @cached_property
     def _factors(self) -> "OrderedDict[bytes, tuple[Array, Factor]]":
         return OrderedDict()
 
-    def _factor(self, held: Array) -> tuple[Array, Factor, bool]:
-        """Return the free vertices, the factor of K among them, and whether it is new."""
+    def factor(self, held: Array) -> tuple[Array, Factor, bool]:
+        """Return the free vertices, the factor of K among them, and whether it is new.
+
+        `held`: ids (k,), ascending. The latest few factors are kept.
+        """
         key = held.tobytes()
         new = key not in self._factors
         if new:
             free = np.setdiff1d(np.arange(len(self.mesh.points)), held)
-            K: Any = self.pattern.condense(self._K, free, free)
+            K: Any = self.pattern.condense(self.stiffness, free, free)
             solver = choose(self.solver, K.shape[0])
-            made = solver.factor(K, self.mesh.points[free]) if len(free) else Nothing()
+            made: Any = solver.factor(K, self.mesh.points[free]) if len(free) else Nothing()
             self._factors[key] = free, made
             while len(self._factors) > KEPT:
                 self._factors.popitem(last=False)
         self._factors.move_to_end(key)
         return *self._factors[key], new
 
+    def columns_pay(self, held: Array, moved: Array) -> bool:
+        """Return whether moved vertices are faster by compliance columns than a factor.
+
+        A factor costs a plant about as much as 40 columns, and twice that when another is
+        kept already (measured: docs/benchmarks.md), so up to 12 vertices not known yet. The
+        first moved set gets a factor of its own; the second has the base factored, which
+        serves all to come.
+        """
+        if held.tobytes() in self._factors or self.columns.missing(moved) > FEW:
+            return False
+        if not self._factors or len(moved) > MANY:
+            return False
+        solver = choose(self.solver, 3 * len(self.mesh.points))
+        return isinstance(solver, Direct) or self.columns.missing(moved) == 0
+
     def solve(self, *loads: Load) -> Equilibrium:
-        """Return the equilibrium under these loads together: `move`, `force`, `gravity`.
+        """Return the equilibrium under these loads together: `move`, `force`, `gravity`...
 
         Raises ModelError for ids out of range, a vertex both fixed and moved, or moved
         twice, and SolverError when the solve misses its backward error.
         """
-        began = time.perf_counter()
-        fixed = np.asarray(self.fixed)
-        u, f = np.zeros_like(self.mesh.points), np.zeros_like(self.mesh.points)
-        moved = np.zeros(0, dtype=np.int64)
-        for load in loads:
-            if isinstance(load, Move):
-                ids = self.vertices(load.ids, "moved")
-                self._check_moved(ids, fixed, moved)
-                u[ids] = _fit(load.displacement, ids)
-                moved = np.concatenate([moved, ids])
-            elif isinstance(load, Force):
-                ids = self.vertices(load.ids, "force")
-                share = max(len(ids), 1) if load.force.ndim == 1 else 1
-                f[ids] += _fit(load.force, ids) / share
-            elif isinstance(load, Gravity):
-                f += self._nodal_mass[:, None] * load.acceleration
-            else:
-                raise ModelError(f"{load!r} is no load: give move(), force() or gravity().")
-        held = np.union1d(fixed, moved)
-        free, factor, new = self._factor(held)
-        b = f.ravel().reshape(-1, 3)[free].ravel()
-        if len(moved):
-            at = np.sort(moved)
-            b = b - self.pattern.condense(self._K, free, at) @ u[at].ravel()
-        x, iterations, error = factor(b)
-        u[free] = x.reshape(-1, 3)
-        # where a vertex is held, whatever K u asks for is external; elsewhere it is the
-        # load
-        everything = np.arange(len(u))
-        f[held] = (self.pattern.condense(self._K, held, everything) @ u.ravel()).reshape(
-            -1, 3
-        )
-        seconds = time.perf_counter() - began
-        stats = SolveStats(
-            factor.name, factor.backend, 3 * len(free), iterations, error, seconds, new
-        )
-        for array in (u, f):
-            array.flags.writeable = False
-        return Equilibrium(self, u, f, moved, stats)
+        return equilibrium(self, loads)
 
     def base_factor(self) -> tuple[Array, Factor]:
         """Return the vertices that are not fixed, and the factor of K among them."""
-        free, factor, _ = self._factor(np.unique(np.asarray(self.fixed)))
+        free, factor, _ = self.factor(np.unique(self.fixed_ids))
         return free, factor
 
-    def contact(self, ids: ArrayLike | str) -> Contact:
+    def contact(self, ids: ArrayLike | str, *, dtype: Any = np.float64) -> Contact:
         """Return vertices prepared for many displacements: `force(d)`, `displacement(d)`.
 
-        Raises ModelError for ids out of range or fixed.
+        `dtype=numpy.float32` halves the memory and the time of a field. Raises ModelError
+        for ids out of range or fixed.
         """
-        return Contact(self, self.vertices(ids, "contact"))
+        return Contact(self, ids_in(self.mesh, ids, "contact"), dtype)
 
     @cached_property
-    def _nodal_mass(self) -> Array:
+    def nodal_mass(self) -> Array:
         """Mass [kg] that each vertex carries under a uniform acceleration, (n,)."""
         _, _, rho = self.material.per_tet(len(self.mesh.tets))
         share = rho[:, None] * self.blocks.weight
@@ -182,24 +183,10 @@ class ElasticModel:
     @property
     def mass(self) -> float:
         """Mass [kg] of the plant."""
-        return float(self._nodal_mass.sum())
-
-    def _check_moved(self, ids: Array, fixed: Array, moved: Array) -> None:
-        both = np.intersect1d(ids, fixed)
-        if both.size:
-            raise ModelError(
-                f"{both.size} vertices are both fixed and moved (first ids: {few(both)}). "
-                "Leave them out of one."
-            )
-        twice = np.intersect1d(ids, moved)
-        if twice.size:
-            raise ModelError(
-                f"{twice.size} vertices are moved twice (first ids: {few(twice)}). Move "
-                "each once."
-            )
+        return float(self.nodal_mass.sum())
 
     def __repr__(self) -> str:
-        fixed = np.asarray(self.fixed)
+        fixed = self.fixed_ids
         solver = self.solver if isinstance(self.solver, str) else type(self.solver).__name__
         free = 3 * (len(self.mesh.points) - len(fixed))
         return (
@@ -236,16 +223,8 @@ class _Shared:
 
     @cached_property
     def blocks(self) -> Blocks:
-        return blocks(self.mesh)
+        return blocks(self.mesh, self.pattern)
 
     @cached_property
     def pattern(self) -> Pattern:
         return Pattern.of(self.mesh.tets, len(self.mesh.points))
-
-
-def _fit(rows: Array, ids: Array) -> Array:
-    if rows.ndim == 2 and len(rows) != len(ids):
-        raise ModelError(
-            f"{len(rows)} rows for {len(ids)} vertices. Give one row a vertex."
-        )
-    return rows

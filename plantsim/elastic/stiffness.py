@@ -5,20 +5,24 @@ The definition is `elasticity`, a scikit-fem form. Both of its blocks for a tet 
 
     H[a, i, b, j] = integral of  d_i phi_a  d_j phi_b,
 
-which is the lam block itself; the mu block is  delta_ij H[a, k, b, k] + H[a, j, b, i].
+which is the lam block itself; the mu block is  delta_ij H[a, k, b, k] + H[a, j, b, i]. H
+is symmetric, so pairs a <= b are kept, c (c + 1) / 2 of 3 x 3. On a tet with straight edges
+H is a constant of the element, from scikit-fem's Basis on the reference tet, times the
+gradients of the barycentric coordinates; on a curved one it is the Basis' own sum.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, MeshTet, MeshTet2
 from skfem.helpers import ddot, eye, sym_grad, trace
 
 from plantsim.arrays import Array
-from plantsim.mesh.tetmesh import TetMesh
+from plantsim.elastic.pattern import Pattern
+from plantsim.mesh.tetmesh import EDGES, TetMesh
 
 CHUNK = 20_000  # tets at a time: scikit-fem's Basis holds every gradient at every point
 
@@ -34,107 +38,174 @@ def elasticity(u: Any, v: Any, w: Any) -> Any:
 class Blocks:
     """What elasticity needs of each tet, whatever its moduli; c = 4 or 10 shape functions.
 
-    Memory: 8 (9 c^2 + 4 c + 1) bytes a tet: 1.3 kB at order 1, 7.5 kB at order 2.
+    Memory with the pattern and K's indices: 1.3 kB a tet at order 1, 8.6 kB at order 2.
     """
 
-    H: Array  # (m, c, 3, c, 3) [m]
+    pattern: Pattern
+    # (m p, 3, 3) [m]: H of every pair of every tet, in the pattern's order, where the sums
+    # of K run along memory; [i, j] with i of the pair's first vertex
+    pairs: Array
     gradient: Array  # (m, c, 3) mean gradient of each shape function [1/m]
     weight: Array  # (m, c) integral of each shape function [m^3]
     volume: Array  # (m,) [m^3]
 
+    def tensor(self, part: slice = slice(None)) -> Array:
+        """Return H of some tets whole, (m, c, 3, c, 3) [m]: 7.2 kB a tet at order 2."""
+        at = self.pattern.where[part]
+        c = self.gradient.shape[1]
+        one, other = np.triu_indices(c)
+        pairs = self.pairs[at]
+        pairs = np.where(
+            self.pattern.swapped[part][:, :, None, None], pairs.swapaxes(2, 3), pairs
+        )
+        H = np.empty((len(at), c, c, 3, 3))
+        H[:, one, other] = pairs
+        H[:, other, one] = pairs.swapaxes(2, 3)
+        return H.transpose(0, 1, 3, 2, 4).copy()
+
     def forces(self, tets: Array, u: Array) -> tuple[Array, Array]:
         """Return nodal forces (m, c, 3) of each tet for mu = 1, for lam = 1; u (n, 3)."""
-        ue = u[tets]
         m, c = tets.shape
-        lam = (self.H.reshape(m, 3 * c, 3 * c) @ ue.reshape(m, 3 * c, 1)).reshape(m, c, 3)
-        mu = np.einsum("eajbi,ebj->eai", self.H, ue, optimize=True)
-        mu += np.einsum("eakbk->eab", self.H) @ ue
+        mu, lam = np.empty((2, m, c, 3))
+        for start in range(0, m, CHUNK):
+            part = slice(start, start + CHUNK)
+            H, ue = self.tensor(part), u[tets[part]]
+            flat = H.reshape(-1, 3 * c, 3 * c)
+            lam[part] = (flat @ ue.reshape(-1, 3 * c, 1)).reshape(-1, c, 3)
+            mu[part] = np.einsum("eajbi,ebj->eai", H, ue, optimize=True)
+            mu[part] += np.einsum("eakbk->eab", H) @ ue
         return mu, lam
 
-    def element(self, mu: Array, lam: Array) -> Array:
-        """Return element stiffness (m, c, 3, c, 3) for moduli (m,) [Pa]."""
-        K = lam[:, None, None, None, None] * self.H
-        scaled = mu[:, None, None, None, None] * self.H
-        K += scaled.transpose(0, 1, 4, 3, 2)
-        trace_ab = np.einsum("eakbk->eab", scaled)
-        for i in range(3):
-            K[:, :, i, :, i] += trace_ab
-        return K
+    def stiffness(self, mu: Array, lam: Array) -> csr_array:
+        """Return K (3n, 3n) for moduli (m,) [Pa]."""
+        # the block of a pair (a, b) is  lam H + mu (H^T + tr H I),  that of (b, a) its
+        # transpose
+        flat, tet = self.pairs.reshape(-1, 9), self.pattern.tet
+        both = np.empty((len(self.pattern.start) - 1, 2, 3, 3))
+        for blocks, pairs, sums in self.pattern.parts():
+            sums.data = lam[tet[pairs]]
+            K = (sums @ flat[pairs]).reshape(-1, 3, 3)
+            sums.data = mu[tet[pairs]]
+            shear = (sums @ flat[pairs]).reshape(-1, 3, 3)
+            K += shear.swapaxes(1, 2)
+            trace_ab = shear[:, 0, 0] + shear[:, 1, 1] + shear[:, 2, 2]
+            for i in range(3):
+                K[:, i, i] += trace_ab
+            both[blocks, 0] = K
+            both[blocks, 1] = K.swapaxes(1, 2)
+        return self.pattern.matrix(both)
 
 
-def blocks(mesh: TetMesh) -> Blocks:
+def blocks(mesh: TetMesh, pattern: Pattern | None = None) -> Blocks:
     """Return the blocks of a mesh, from scikit-fem's Basis."""
+    pattern = pattern or Pattern.of(mesh.tets, len(mesh.points))
     m, c = mesh.tets.shape
-    H = np.empty((m, 3 * c, 3 * c))
+    pairs = np.empty((pattern.where.size, 3, 3))
     gradient, weight, volume = np.empty((m, c, 3)), np.empty((m, c)), np.empty(m)
-    curved = mesh.curved
-    for start in range(0, m, CHUNK):
-        part = slice(start, start + CHUNK)
-        basis: Any = scalar_basis(mesh.points, mesh.tets[part], curved)
-        dx = np.asarray(basis.dx)  # (e, q)
-        G = np.stack([basis.basis[a][0].grad for a in range(c)])  # (c, 3, e, q)
-        G = G.transpose(2, 0, 1, 3).reshape(len(dx), 3 * c, -1)
-        H[part] = (G * dx[:, None]) @ G.transpose(0, 2, 1)
-        volume[part] = dx.sum(axis=1)
-        gradient[part] = ((G * dx[:, None]).sum(axis=2) / volume[part, None]).reshape(
-            -1, c, 3
-        )
-        for a in range(c):
-            weight[part, a] = (np.asarray(basis.basis[a][0]) * dx).sum(axis=1)
-    return Blocks(H.reshape(m, c, 3, c, 3), gradient, weight, volume)
+    bent = mesh.bent
+    for kind, make in ((~bent, _straight), (bent, _curved)):
+        chosen = np.flatnonzero(kind)
+        for start in range(0, len(chosen), CHUNK):
+            part = chosen[start : start + CHUNK]
+            H, gradient[part], weight[part], volume[part] = make(
+                mesh.points, mesh.tets[part]
+            )
+            turned = pattern.swapped[part]
+            H[turned] = H[turned].swapaxes(1, 2)
+            pairs[pattern.where[part].ravel()] = H.reshape(-1, 3, 3)
+    return Blocks(pattern, pairs, gradient, weight, volume)
 
 
-def scalar_basis(points: Array, tets: Array, curved: bool) -> Basis:
-    """Return scikit-fem's scalar basis; local functions in the order of columns."""
+@cache
+def _constants(order: int) -> tuple[Array, Array, Array, Array]:
+    """Return integrals over the reference tet, over its volume.
+
+    Of d_k phi_a d_l phi_b for pairs a <= b, (p, 9); of d_k phi_a, (c, 3); of phi_a, (c,);
+    of phi_a phi_b for the pairs, (p,).
+    """
+    points = np.vstack([np.zeros(3), np.eye(3)])
+    if order == 2:
+        points = np.vstack([points, points[EDGES].mean(axis=1)])
+    basis: Any = scalar_basis(points, np.arange(len(points))[None], False, exact_mass=True)
+    G, N, dx = _fields(basis)
+    one, other = np.triu_indices(len(points))
+    w = dx[0] / dx.sum()
+    H = np.einsum("akq,blq,q->abkl", G[0], G[0], w)[one, other].reshape(-1, 9)
+    mass = np.einsum("aq,bq,q->ab", N[0], N[0], w)[one, other]
+    return H, G[0] @ w, N[0] @ w, mass
+
+
+def _straight(points: Array, tets: Array) -> tuple[Array, Array, Array, Array]:
+    H, first, zeroth, _ = _constants(1 if tets.shape[1] == 4 else 2)
+    # barycentric coordinates are the order-1 shape functions; all but the first are the
+    # reference coordinates
+    basis: Any = scalar_basis(points, tets[:, :4], False)
+    G, _, dx = _fields(basis)
+    volume = dx.sum(axis=1)
+    D = G[:, 1:, :, 0]
+    T = (volume[:, None, None, None, None] * D[:, :, None, :, None]) * D[:, None, :, None]
+    pairs = (H @ T.reshape(-1, 9, 9)).reshape(len(tets), -1, 3, 3)
+    return pairs, first @ D, volume[:, None] * zeroth, volume
+
+
+def _curved(points: Array, tets: Array) -> tuple[Array, Array, Array, Array]:
+    basis: Any = scalar_basis(points, tets, True)
+    G, N, dx = _fields(basis)
+    m, c = tets.shape
+    volume = dx.sum(axis=1)
+    scaled = G * dx[:, None, None]
+    flat = scaled.reshape(m, 3 * c, -1) @ G.reshape(m, 3 * c, -1).transpose(0, 2, 1)
+    one, other = np.triu_indices(c)
+    pairs = flat.reshape(m, c, 3, c, 3).transpose(0, 1, 3, 2, 4)[:, one, other]
+    gradient = scaled.sum(axis=3) / volume[:, None, None]
+    return pairs, gradient, (N @ dx[:, :, None])[:, :, 0], volume
+
+
+def _fields(basis: Any) -> tuple[Array, Array, Array]:
+    """Return gradients (e, c, 3, q) and values (e, c, q) of shape functions, weights."""
+    dx = np.asarray(basis.dx)
+    G = np.stack([f[0].grad for f in basis.basis]).transpose(2, 0, 1, 3)
+    N = np.stack([np.broadcast_to(np.asarray(f[0]), dx.shape) for f in basis.basis])
+    return np.ascontiguousarray(G), N.transpose(1, 0, 2), dx
+
+
+def mass(mesh: TetMesh, pattern: Pattern, density: Array) -> csr_array:
+    """Return the consistent mass matrix (3n, 3n) [kg]; density (m,) [kg/m^3]."""
+    one, other = np.triu_indices(mesh.tets.shape[1])
+    values = np.empty(pattern.where.size)
+    for start in range(0, len(mesh.tets), CHUNK):
+        part = np.arange(start, min(start + CHUNK, len(mesh.tets)))
+        bent = mesh.bent[part]
+        M = mesh.volumes[part, None] * _constants(mesh.order)[3]
+        if bent.any():
+            curved = mesh.tets[part[bent]]
+            basis: Any = scalar_basis(mesh.points, curved, True, exact_mass=True)
+            _, N, dx = _fields(basis)
+            full = (N * dx[:, None]) @ N.transpose(0, 2, 1)
+            M[bent] = full[:, one, other]
+        values[pattern.where[part]] = M
+    total = np.empty((len(pattern.start) - 1, 1))
+    for blocks, pairs, sums in pattern.parts():
+        total[blocks, 0] = sums @ (density[pattern.tet[pairs]] * values[pairs])
+    return pattern.matrix(np.repeat(total, 2, axis=0)[:, :, None] * np.eye(3))
+
+
+def scalar_basis(
+    points: Array, tets: Array, curved: bool, *, exact_mass: bool = False
+) -> Basis:
+    """Return scikit-fem's scalar basis; local functions in the order of columns.
+
+    `exact_mass`: integrate products of shape functions, not of gradients, exactly.
+    """
     used, local = np.unique(tets, return_inverse=True)
     local = np.ascontiguousarray(local.reshape(tets.shape).T, dtype=np.int32)
     p = np.ascontiguousarray(points[used].T)
     if curved:
-        # products of gradients on curved tets are rational: degree 4 holds them to ~1e-5
+        # products of gradients on curved tets are rational: degree 4 holds them to ~1e-5;
+        # shape functions are quadratic and det J is cubic
         mesh = MeshTet2(p, local, validate=False)
-        return Basis(mesh, ElementTetP2(), intorder=4)
+        return Basis(mesh, ElementTetP2(), intorder=7 if exact_mass else 4)
     mesh = MeshTet(p, local[:4], validate=False)
     if len(local) == 4:
-        return Basis(mesh, ElementTetP1(), intorder=1)
-    return Basis(mesh, ElementTetP2(), intorder=2)
-
-
-@dataclass(frozen=True, eq=False)
-class Pattern:
-    """Where the 3 x 3 blocks of K are: CSR over vertices, and each tet's entries in it."""
-
-    indptr: Array
-    indices: Array
-    slot: Array  # (m c c,) position of each vertex pair of each tet
-
-    @classmethod
-    def of(cls, tets: Array, count: int) -> "Pattern":
-        """Return the pattern of tets (m, c) on `count` vertices."""
-        key = (tets[:, :, None] * count + tets[:, None, :]).ravel()
-        pairs, slot = np.unique(key, return_inverse=True)
-        row, column = np.divmod(pairs, count)
-        indptr = np.searchsorted(row, np.arange(count + 1))
-        return cls(indptr.astype(np.int32), column.astype(np.int32), slot.astype(np.int32))
-
-    def assemble(self, element: Array) -> bsr_array:
-        """Return K (3n, 3n) from element stiffness (m, c, 3, c, 3)."""
-        data = np.empty((len(self.indices), 3, 3))
-        for i in range(3):
-            for j in range(3):
-                entries = element[:, :, i, :, j].ravel()
-                data[:, i, j] = np.bincount(self.slot, entries, minlength=len(data))
-        n = 3 * (len(self.indptr) - 1)
-        return bsr_array((data, self.indices, self.indptr), shape=(n, n))
-
-    @cached_property
-    def positions(self) -> csr_array:
-        """CSR over vertices whose entries count the blocks, from 1."""
-        n = len(self.indptr) - 1
-        where = np.arange(1, len(self.indices) + 1)
-        return csr_array((where, self.indices, self.indptr), shape=(n, n))
-
-    def condense(self, K: bsr_array, rows: Array, columns: Array) -> bsr_array:
-        """Return the blocks of K in these vertices' rows and columns."""
-        part = self.positions[rows][:, columns]
-        shape = (3 * len(rows), 3 * len(columns))
-        return bsr_array((K.data[part.data - 1], part.indices, part.indptr), shape=shape)
+        return Basis(mesh, ElementTetP1(), intorder=2 if exact_mass else 1)
+    return Basis(mesh, ElementTetP2(), intorder=4 if exact_mass else 2)

@@ -103,7 +103,7 @@ class TetMesh:
                 "where flat."
             )
         if self.order == 2:
-            curved = np.flatnonzero(self._curved_tets)
+            curved = np.flatnonzero(self.bent)
             J = jacobians(self.points, self.tets[curved], INNER)
             bent = curved[J.min(axis=1, initial=np.inf) <= 0]
             if bent.size:
@@ -156,8 +156,33 @@ class TetMesh:
         return np.hstack([faces, self.tets[:, FACE_MIDS].reshape(-1, 3)])[outer]
 
     @cached_property
-    def _curved_tets(self) -> Array:
+    def surface_vertices(self) -> Array:
+        """Ids (s,) of the vertices on the boundary, ascending."""
+        return np.unique(self.surface)
+
+    @cached_property
+    def normals(self) -> Array:
+        """Outward unit normals (s, 3) at `surface_vertices`, faces weighed by their area.
+
+        Curved faces count as the four flat triangles between their nodes.
+        """
+        triangles = self.surface
+        if self.order == 2:
+            parts = ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])
+            triangles = np.concatenate([triangles[:, part] for part in parts])
+        x = self.points[triangles]
+        area = np.cross(*_two(x))
+        total = np.zeros_like(self.points)
+        for corner in triangles.T:
+            np.add.at(total, corner, area)
+        total = total[self.surface_vertices]
+        return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+
+    @cached_property
+    def bent(self) -> Array:
         """Mask (m,) of the tets with a midside node off the middle of its edge."""
+        if self.order == 1:
+            return np.zeros(len(self.tets), dtype=bool)
         x = self.points[self.tets]
         ends = x[:, EDGES]
         off = ((x[:, 4:] - ends.mean(axis=2)) ** 2).sum(axis=2)
@@ -176,7 +201,7 @@ class TetMesh:
     @property
     def curved(self) -> bool:
         """Whether any midside node is off the middle of its edge."""
-        return self.order == 2 and bool(self._curved_tets.any())
+        return bool(self.bent.any())
 
     @property
     def pieces(self) -> Array:

@@ -75,10 +75,22 @@ class MultigridFactor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
 
-    def __call__(self, f: Array) -> tuple[Array, int, float]:
-        """Return the solution, the CG iterations and the backward error."""
+    @property
+    def preconditioner(self) -> Any:
+        """One V cycle as a linear operator."""
+        return self.levels.aspreconditioner(cycle="V")
+
+    def __call__(self, f: Array) -> tuple[Array, int, Array]:
+        """Return the solution (n,) or (n, k), the CG iterations, the backward errors."""
+        if f.ndim == 1:
+            return self._one(f)
+        parts = [self._one(np.ascontiguousarray(column)) for column in f.T]
+        u, iterations, error = zip(*parts, strict=True)
+        return np.column_stack(u), max(iterations), np.array(error)
+
+    def _one(self, f: Array) -> tuple[Array, int, Array]:
         if not f.any():
-            return np.zeros_like(f), 0, 0.0
+            return np.zeros_like(f), 0, np.zeros(())
         residuals: list[float] = []
         # "rr+" stops on |r| <= tol (|K|_F |u| + |f|); |K|_F grows with n, so it is scaled
         # out
@@ -91,7 +103,7 @@ class MultigridFactor:
                 tol=0.9 * tol,
                 criteria="rr+",
                 maxiter=self.max_iterations,
-                M=self.levels.aspreconditioner(cycle="V"),
+                M=self.preconditioner,
                 residuals=residuals,
             )
         iterations = len(residuals) - 1

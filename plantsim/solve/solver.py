@@ -23,8 +23,12 @@ class Factor(Protocol):
         """Library routine that does the work."""
         ...
 
-    def __call__(self, f: Array) -> tuple[Array, int, float]:
-        """Return the solution (n,) for f (n,), the iterations and the backward error."""
+    def __call__(self, f: Array) -> tuple[Array, int, Array]:
+        """Return the solution for f, (n,) or (n, k), the iterations and the backward error.
+
+        The error is () or (k,), one for each column; the iterations are of the slowest.
+        Raises SolverError where a column misses its backward error.
+        """
         ...
 
 

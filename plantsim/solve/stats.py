@@ -26,11 +26,24 @@ def norm_inf(K: Any) -> float:
     return float(abs(K).sum(axis=1).max()) if K.shape[0] else 0.0
 
 
-def backward_error(K: Any, size: float, u: Array, f: Array) -> float:
-    """Return |K u - f| / (size |u| + |f|) in 2-norms, `size` a norm of K.
+def backward_error(K: Any, size: float, u: Array, f: Array) -> Array:
+    """Return |K u - f| / (size |u| + |f|) in 2-norms of each column, `size` a norm of K.
 
     On slender limbs |r| / |f| stalls even for a direct factor; this does not.
     Source: Rigal and Gaches 1967; Higham, Accuracy and Stability, section 7.1.
     """
-    scale = size * np.linalg.norm(u) + np.linalg.norm(f)
-    return float(np.linalg.norm(K @ u - f) / scale) if scale else 0.0
+    many = u.ndim == 2
+    # column by column, which scipy does faster than all together
+    Ku = np.stack([K @ x for x in u.T], axis=1) if many else K @ u
+    scale = size * norm(u) + norm(f)
+    return norm(Ku - f) / np.where(scale > 0, scale, 1)
+
+
+def norm(x: Array) -> Array:
+    """Return the 2-norm of a vector, or of each column.
+
+    Without BLAS, whose threads take a hundred times as long where other work keeps the
+    cores busy (measured: 7 ms for 15,000 entries).
+    """
+    squares = np.einsum("i,i->", x, x) if x.ndim == 1 else np.einsum("ij,ij->j", x, x)
+    return np.sqrt(squares)

@@ -1,0 +1,164 @@
+"""Statics: loads gathered on a model, and the equilibrium under them."""
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg
+
+from plantsim.arrays import Array, few
+from plantsim.elastic.contact import Contact
+from plantsim.elastic.equilibrium import Equilibrium
+from plantsim.elastic.loads import Composite, Force, Gravity, Hold, Load, Move, ids_in
+from plantsim.errors import ModelError
+from plantsim.solve.stats import SolveStats
+
+if TYPE_CHECKING:
+    from plantsim.elastic.model import ElasticModel
+
+
+@dataclass(eq=False)
+class Acting:
+    """All loads together."""
+
+    displacement: Array  # (n, 3) [m] of the moved vertices, else 0
+    force: Array  # (n, 3) [N]
+    moved: Array  # (k,) ids, in the order given
+    # vertex, direction (3,), displacement [m] of every direction that is held alone
+    holds: list[tuple[int, Array, float]] = field(default_factory=list)
+
+
+def gathered(model: "ElasticModel", loads: Iterable[Load]) -> Acting:
+    """Return the loads on the mesh's vertices; ModelError where they contradict."""
+    mesh, fixed = model.mesh, model.fixed_ids
+    out = Acting(
+        np.zeros_like(mesh.points), np.zeros_like(mesh.points), np.zeros(0, dtype=np.int64)
+    )
+    waiting = list(loads)
+    held = np.zeros(0, dtype=np.int64)
+    while waiting:
+        load = waiting.pop(0)
+        if isinstance(load, Move):
+            ids = ids_in(mesh, load.ids, "moved")
+            _check(ids, fixed, np.append(out.moved, held))
+            out.displacement[ids] = _fit(load.displacement, ids)
+            out.moved = np.concatenate([out.moved, ids])
+        elif isinstance(load, Hold):
+            ids = ids_in(mesh, load.ids, "held")
+            _check(ids, fixed, np.append(out.moved, held))
+            held = np.append(held, ids)
+            goal = load.directions @ load.displacement
+            out.holds += [
+                (int(v), way, float(g))
+                for v in ids
+                for way, g in zip(load.directions, goal, strict=True)
+            ]
+        elif isinstance(load, Force):
+            ids = ids_in(mesh, load.ids, "force")
+            share = max(len(ids), 1) if load.force.ndim == 1 else 1
+            out.force[ids] += _fit(load.force, ids) / share
+        elif isinstance(load, Gravity):
+            out.force += model.nodal_mass[:, None] * load.acceleration
+        elif isinstance(load, Composite):
+            waiting = [*load.parts(mesh), *waiting]
+        else:
+            raise ModelError(
+                f"{load!r} is no load: give move(), hold(), force(), traction(), hang() or "
+                "gravity()."
+            )
+    return out
+
+
+def equilibrium(model: "ElasticModel", loads: Iterable[Load]) -> Equilibrium:
+    """Return the equilibrium of a model under loads."""
+    began = time.perf_counter()
+    acting = gathered(model, loads)
+    held = np.union1d(model.fixed_ids, acting.moved)
+    if len(acting.moved) and not acting.holds and model.columns_pay(held, acting.moved):
+        u, (name, backend, unknowns, iterations, error) = _by_columns(model, acting)
+        new = False
+    else:
+        u, (name, backend, unknowns, iterations, error), new = _by_factor(
+            model, acting, held
+        )
+    f = acting.force
+    # where a vertex is held, whatever K u asks for is external; elsewhere it is the load
+    f[held] = model.internal(held, u)
+    seconds = time.perf_counter() - began
+    for array in (u, f):
+        array.flags.writeable = False
+    stats = SolveStats(name, backend, unknowns, iterations, error, seconds, new)
+    moved = np.append(acting.moved, np.unique([v for v, _, _ in acting.holds]).astype(int))
+    return Equilibrium(model, u, f, moved, stats)
+
+
+Evidence = tuple[str, str, int, int, float]
+
+
+def _by_factor(
+    model: "ElasticModel", acting: Acting, held: Array
+) -> tuple[Array, Evidence, bool]:
+    """Return the displacement by the factor of the vertices that are not held."""
+    u = acting.displacement.copy()
+    free, factor, new = model.factor(held)
+    b = acting.force[free].ravel()
+    if len(acting.moved):
+        at = np.sort(acting.moved)
+        b = b - model.pattern.condense(model.stiffness, free, at) @ u[at].ravel()
+    x, iterations, error = factor(b)
+    worst = float(error)
+    if acting.holds:
+        ids, ways, goal = (np.array(part) for part in zip(*acting.holds, strict=True))
+        place = np.searchsorted(free, ids)
+        # multipliers: C K^-1 C^T lambda = goal - C K^-1 b, one column a held direction
+        loads = np.zeros((len(b), len(ids)), order="F")
+        rows = 3 * place[:, None] + np.arange(3)
+        loads[rows, np.arange(len(ids))[:, None]] = ways
+        response, more, errors = factor(loads)
+        short = goal - (x.reshape(-1, 3)[place] * ways).sum(axis=1)
+        multiplier = scipy.linalg.solve(loads.T @ response, short, assume_a="pos")
+        x = x + response @ multiplier
+        np.add.at(acting.force, ids, multiplier[:, None] * ways)
+        iterations, worst = max(iterations, more), max(worst, float(errors.max()))
+    u[free] = x.reshape(-1, 3)
+    return u, (factor.name, factor.backend, 3 * len(free), iterations, worst), new
+
+
+def _by_columns(model: "ElasticModel", acting: Acting) -> tuple[Array, Evidence]:
+    """Return the displacement by compliance columns of the moved vertices."""
+    free, factor = model.base_factor()
+    contact = Contact(model, acting.moved)
+    goal = acting.displacement[acting.moved]
+    u = np.zeros_like(acting.displacement)
+    if acting.force.any():
+        u[free] = factor(acting.force[free].ravel())[0].reshape(-1, 3)
+    u += contact.displacement(goal - u[acting.moved])
+    u[acting.moved] = goal
+    error, unknowns = contact.evidence(u, acting.force)
+    backend = f"{factor.backend}; compliance of {len(acting.moved)} vertices"
+    return u, (factor.name, backend, unknowns, 0, error)
+
+
+def _fit(rows: Array, ids: Array) -> Array:
+    if rows.ndim == 2 and len(rows) != len(ids):
+        raise ModelError(
+            f"{len(rows)} rows for {len(ids)} vertices. Give one row a vertex."
+        )
+    return rows
+
+
+def _check(ids: Array, fixed: Array, moved: Array) -> None:
+    both = np.intersect1d(ids, fixed)
+    if both.size:
+        raise ModelError(
+            f"{both.size} vertices are both fixed and moved (first ids: {few(both)}). "
+            "Leave them out of one."
+        )
+    twice = np.intersect1d(ids, moved)
+    if twice.size:
+        raise ModelError(
+            f"{twice.size} vertices are moved twice (first ids: {few(twice)}). Move each "
+            "once."
+        )

@@ -1,0 +1,1 @@
+"""What a gripper does: rigid patches, and sequences of touches."""
