@@ -18,7 +18,7 @@ from plantsim.solve.stats import backward_error, norm_inf
 # 180,000 unknowns, two thirds of the time at 409,000
 PARDISO_FROM = 200_000
 # Right-hand sides at a time. Six take half of the time of six alone. With twelve BLAS
-# starts threads, which gain nothing; on a busy machine thirty at once took six times as long
+# starts threads, which gain nothing; on a busy machine thirty took six times as long
 STRIP = 6
 
 
