@@ -212,6 +212,6 @@ def _product(d: Array, fields: Array) -> Array:
     """Return d @ fields.
 
     One row at a time without BLAS: its threads gain nothing on so small a product, and cost
-    fifty times as much where other work keeps the cores busy.
+    some forty times as much where other work keeps the cores busy.
     """
     return np.einsum("i,ij->j", d, fields) if d.ndim == 1 else d @ fields

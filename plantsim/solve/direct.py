@@ -17,8 +17,8 @@ from plantsim.solve.stats import backward_error, norm_inf
 # From here on PARDISO (extra `fast`) factors a plant faster than SuperLU: the same at
 # 180,000 unknowns, two thirds of the time at 409,000
 PARDISO_FROM = 200_000
-# Right-hand sides at a time. Six take 0.6 of the time of six alone; with twelve BLAS starts
-# threads, which gain nothing on a quiet machine and cost six times as much on a busy one
+# Right-hand sides at a time. Six take half of the time of six alone. With twelve BLAS
+# starts threads, which gain nothing; on a busy machine thirty took six times as long
 STRIP = 6
 
 

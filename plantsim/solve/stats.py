@@ -42,8 +42,8 @@ def backward_error(K: Any, size: float, u: Array, f: Array) -> Array:
 def norm(x: Array) -> Array:
     """Return the 2-norm of a vector, or of each column.
 
-    Without BLAS, whose threads take a hundred times as long where other work keeps the
-    cores busy (measured: 7 ms for 15,000 entries).
+    Without BLAS, whose threads wait for one another where other work keeps the cores busy
+    (measured: 7 ms for 15,000 entries).
     """
     squares = np.einsum("i,i->", x, x) if x.ndim == 1 else np.einsum("ij,ij->j", x, x)
     return np.sqrt(squares)
