@@ -1,6 +1,6 @@
 """Direct factor against multigrid by unknowns: the table behind solver="auto".
 
-    python benchmarks/solvers.py [--sizes 1.4 1.0 0.8 0.65]
+    python benchmarks/solvers.py [--sizes 1.05 0.8 0.63]
 
 The demo's plant, order 2, ten vertices moved: seconds to prepare a solver, to apply it
 once, the iterations, and how far the two answers are apart. The ratio is of the totals.
@@ -55,5 +55,5 @@ def main(sizes: list[float]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sizes", type=float, nargs="+", default=[1.4, 1.0, 0.8, 0.7, 0.6])
+    parser.add_argument("--sizes", type=float, nargs="+", default=[1.05, 0.8, 0.63, 0.52, 0.45])
     main(parser.parse_args().sizes)

@@ -26,7 +26,8 @@ from plantsim.view.figures import figure_deformation, figure_material
 YOUNG = 6e9  # the prior's Young's modulus [Pa]; the plant's limbs scatter about it
 TOUCHES = 5
 PUSHED = 10  # vertices moved together, as in the paper
-PUSH = 0.03  # [m] downwards
+PUSH = 0.01  # [m] downwards
+DRAWN = 3.0  # displacements in the picture, times the real ones
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def run(seed: int, out: Path, tell: Callable[[Stage], None]) -> list[Path]:
     done("write", ", ".join(f.name for f in files))
     try:
         files += [
-            figure_deformation(state, out / "pushed.png"),
+            figure_deformation(state, out / "pushed.png", scale=DRAWN),
             figure_material(mesh, found.material.young / 1e9, out / "stiffness.png"),
         ]
         done("draw", ", ".join(f.name for f in files[3:]))
