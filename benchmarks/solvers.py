@@ -55,5 +55,7 @@ def main(sizes: list[float]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sizes", type=float, nargs="+", default=[1.05, 0.8, 0.63, 0.52, 0.45])
+    parser.add_argument(
+        "--sizes", type=float, nargs="+", default=[1.05, 0.8, 0.63, 0.52, 0.45]
+    )
     main(parser.parse_args().sizes)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
     from plantsim.elastic.loads import force as force
-    from plantsim.elastic.loads import gravity as gravity
     from plantsim.elastic.loads import hang as hang
     from plantsim.elastic.loads import hold as hold
     from plantsim.elastic.loads import move as move
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from plantsim.elastic.material import Material as Material
     from plantsim.elastic.model import ElasticModel as ElasticModel
     from plantsim.elastic.modes import modes as modes
+    from plantsim.elastic.weight import gravity as gravity
     from plantsim.errors import DependencyError as DependencyError
     from plantsim.errors import EstimateError as EstimateError
     from plantsim.errors import FileError as FileError
@@ -72,10 +72,11 @@ __version__ = "0.1.0"
 
 _HOME = {
     "plantsim.elastic.equilibrium": ("Equilibrium",),
-    "plantsim.elastic.loads": ("force", "gravity", "hang", "hold", "move", "traction"),
+    "plantsim.elastic.loads": ("force", "hang", "hold", "move", "traction"),
     "plantsim.elastic.material": ("Material",),
     "plantsim.elastic.model": ("ElasticModel",),
     "plantsim.elastic.modes": ("modes",),
+    "plantsim.elastic.weight": ("gravity",),
     "plantsim.errors": (
         "DependencyError",
         "EstimateError",

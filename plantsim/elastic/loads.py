@@ -177,11 +177,6 @@ def hang(
     return Hanging(at, m, g)
 
 
-def gravity(acceleration: ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY)) -> Gravity:
-    """Return the weight of the plant, by its density; (3,) [m/s^2], downwards."""
-    return Gravity(frozen(acceleration, (3,), name="acceleration", error=ModelError))
-
-
 def ids_in(mesh: TetMesh, ids: ArrayLike | str, what: str) -> Array:
     """Return vertex ids from ids or a set's name; ModelError if they are not the mesh's."""
     if isinstance(ids, str):
