@@ -41,8 +41,8 @@ class Solver(Protocol):
 
 
 Choice = Solver | Literal["auto", "direct", "multigrid"]
-# Above this many unknowns SuperLU takes longer for a plant than multigrid: at 439,000 they take
-# the same time for one solve, at 297,000 SuperLU two thirds (benchmarks/solvers.py)
+# Above this many unknowns SuperLU takes longer for a plant than multigrid: at 439,000 they
+# take the same time for one solve, at 297,000 SuperLU two thirds (benchmarks/solvers.py)
 DIRECT_LIMIT = 400_000
 
 
