@@ -331,3 +331,14 @@ def test_broken_geometry_is_one_sentence(tmp_path, text, says, capfd):
 def _touch(path):
     path.write_text("x")
     return path
+
+
+def test_a_thin_twig_does_not_claim_its_thick_parent():
+    trunk = Polyline([[0, 0, 0], [0, 0, 1]], [0.1, 0.1])
+    twig = Polyline([[0, 0, 0.5], [0.5, 0, 0.6]], [0.006, 0.006], 0)
+    mesh = ps.tetrahedralize(ps.sweep(ps.Skeleton.from_limbs([trunk, twig])), order=1)
+    centre = mesh.points[mesh.tets].mean(axis=1)
+    inside = np.hypot(centre[:, 0], centre[:, 1]) < 0.095
+    at_joint = np.linalg.norm(centre - [0.1, 0, 0.52], axis=1) < 0.02
+    assert (mesh.region[inside & ~at_joint] == 0).all()
+    assert (mesh.region[centre[:, 0] > 0.13] == 1).all()

@@ -137,41 +137,47 @@ def on_axis(
 ) -> tuple[Array, Array, Array, Array]:
     """Return limb, distance from its axis in radii, nearest axis point and radius there.
 
-    For points (k, 3). The limb is the one given, or the nearest in units of its radius,
-    where of a child's axis only the part outside its parent counts.
+    For points (k, 3). The limb is the one given, or the nearest in units of its radius; of
+    a child's axis only the part outside its parent counts.
     """
-    axis, tangent, radius, slope, owner = (
-        np.concatenate(a) for a in zip(*_samples(solid), strict=True)
-    )
-    tree = KDTree(axis)
-    _, near = tree.query(x, k=min(24, len(axis)))
-    near = near.reshape(len(x), -1)
-    d = x[:, None] - axis[near]
-    along = (d * tangent[near]).sum(axis=2)
-    step = radius[
-        near
-    ]  # samples are half a radius apart: do not run along the tangent beyond
-    along = np.clip(along, -step, np.where(np.isinf(slope[near]), 0, step))
-    foot = axis[near] + along[:, :, None] * tangent[near]
-    r = radius[near] + along * np.where(np.isinf(slope[near]), 0, slope[near])
-    ratio = np.linalg.norm(x[:, None] - foot, axis=2) / r
-    score = (
-        ratio
-        if limb is None
-        else np.where(owner[near] == limb[:, None], ratio, ratio + 1e6)
-    )
-    rows, best = np.arange(len(x)), score.argmin(axis=1)
-    return owner[near[rows, best]], ratio[rows, best], foot[rows, best], r[rows, best]
+    owner = np.zeros(len(x), dtype=np.int64)
+    ratio, foot, radius = np.full(len(x), np.inf), np.zeros((len(x), 3)), np.ones(len(x))
+    samples = _samples(solid)
+    for reach in (1.6, np.inf):  # in radii: who is in no limb's box is compared with all
+        waiting = np.isinf(ratio)
+        for i, (axis, tangent, r, slope) in enumerate(samples):
+            if limb is None:
+                low, high = axis.min(axis=0), axis.max(axis=0)
+                room = reach * r.max()
+                near = ((x >= low - room) & (x <= high + room)).all(axis=1)
+                rows = np.flatnonzero(waiting & near)
+            else:
+                rows = np.flatnonzero(waiting & (limb == i))
+            if not len(rows):
+                continue
+            at = KDTree(axis).query(x[rows])[1]
+            along = ((x[rows] - axis[at]) * tangent[at]).sum(axis=1)
+            # samples are half a radius apart: do not run along the tangent beyond
+            last = np.isinf(slope[at])
+            along = np.clip(along, -r[at], np.where(last, 0, r[at]))
+            here = axis[at] + along[:, None] * tangent[at]
+            thick = r[at] + along * np.where(last, 0, slope[at])
+            far = np.linalg.norm(x[rows] - here, axis=1) / thick
+            won = far < ratio[rows]
+            mine = rows[won]
+            owner[mine], ratio[mine] = i, far[won]
+            foot[mine], radius[mine] = here[won], thick[won]
+    return owner, ratio, foot, radius
 
 
-def _samples(solid: Solid) -> list[tuple[Array, Array, Array, Array, Array]]:
-    """Return axis points, tangents, radii, slopes dr/ds (inf at tips), limb, by tube."""
+def _samples(solid: Solid) -> list[tuple[Array, Array, Array, Array]]:
+    """Return axis points, tangents, radii and slopes dr/ds (inf at tips), by tube."""
     out = []
-    for i, (tube, leaves) in enumerate(zip(solid.tubes, solid.emergence, strict=True)):
+    for tube, leaves in zip(solid.tubes, solid.emergence, strict=True):
         u = tube.stations[tube.stations >= leaves]
         x, r = tube.axis(u), tube.radius(u)
         s = np.r_[0, np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))]
         slope = np.gradient(r, s) if len(u) > 1 else np.zeros(1)
         slope[-1] = np.inf
-        out.append((x, tube.tangent(u), r, slope, np.full(len(u), i)))
+        out.append((x, tube.tangent(u), r, slope))
     return out
