@@ -11,11 +11,10 @@ from typing import BinaryIO
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.mesh.tetmesh import TetMesh
+from plantsim.mesh.tetmesh import GMSH_ORDER, TetMesh
 
 TET = {1: 4, 2: 11}  # gmsh's element types of tetrahedra by order
 POINT = 15
-VTK_TO_GMSH = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]  # the last two middles are swapped
 
 
 def write_msh41(mesh: TetMesh, path: Path, *, binary: bool) -> None:
@@ -23,7 +22,7 @@ def write_msh41(mesh: TetMesh, path: Path, *, binary: bool) -> None:
     region = np.asarray(mesh.region)
     sets = list(mesh.sets.values())
     tags = range(1, len(mesh.region_names) + 1)
-    tets = mesh.tets if mesh.order == 1 else mesh.tets[:, VTK_TO_GMSH]
+    tets = mesh.tets if mesh.order == 1 else mesh.tets[:, GMSH_ORDER]
     with path.open("wb") as f:
         out = _Section(f, binary)
         f.write(f"$MeshFormat\n4.1 {int(binary)} 8\n".encode())

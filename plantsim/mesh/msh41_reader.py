@@ -12,6 +12,7 @@ import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.errors import FileError
+from plantsim.mesh.tetmesh import GMSH_ORDER
 
 # gmsh's element types: dimension and number of nodes
 KINDS = {
@@ -22,7 +23,6 @@ KINDS = {
     **{18: (3, 15), 7: (3, 5), 14: (3, 14), 19: (3, 13)},
 }
 TETS = {4: "tetra", 11: "tetra10"}
-GMSH_TO_VTK = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]  # the last two middles of a tet are swapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def read_msh41(path: Path) -> tuple[Array, list[Block]]:
         columns = 1 + KINDS[int(kind)][1]
         nodes = row[numbers.sizes(int(count) * columns).reshape(-1, columns)[:, 1:]]
         if kind == 11:
-            nodes = nodes[:, GMSH_TO_VTK]
+            nodes = nodes[:, GMSH_ORDER]
         everything = np.arange(len(nodes))
         tags = {tag: everything for tag in groups.get((int(dim), int(entity)), ())}
         blocks.append(Block(int(dim), TETS.get(int(kind), f"type {kind}"), nodes, tags))

@@ -16,6 +16,8 @@ from plantsim.errors import MeshError
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # VTK: nodes 4 to 9
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # outward normals
+# gmsh numbers the last two middles of a tet the other way round than VTK: its own inverse
+GMSH_ORDER = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
 FACE_MIDS = np.array([[6, 5, 4], [4, 8, 7], [5, 9, 8], [7, 9, 6]])  # on edges 01, 12, 20
 
 
@@ -155,6 +157,14 @@ class TetMesh:
             return faces[outer]
         return np.hstack([faces, self.tets[:, FACE_MIDS].reshape(-1, 3)])[outer]
 
+    @property
+    def triangles(self) -> Array:
+        """Flat triangles (k, 3) of the surface, outward; four for each curved face."""
+        if self.order == 1:
+            return self.surface
+        parts = ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])
+        return np.concatenate([self.surface[:, part] for part in parts])
+
     @cached_property
     def surface_vertices(self) -> Array:
         """Ids (s,) of the vertices on the boundary, ascending."""
@@ -166,10 +176,7 @@ class TetMesh:
 
         Curved faces count as the four flat triangles between their nodes.
         """
-        triangles = self.surface
-        if self.order == 2:
-            parts = ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])
-            triangles = np.concatenate([triangles[:, part] for part in parts])
+        triangles = self.triangles
         x = self.points[triangles]
         area = np.cross(*_two(x))
         total = np.zeros_like(self.points)

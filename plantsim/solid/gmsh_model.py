@@ -14,6 +14,8 @@ import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.errors import DependencyError, MeshError
+from plantsim.mesh.tetmesh import GMSH_ORDER
+from plantsim.solid.rings import Ring
 
 try:
     import gmsh as _gmsh
@@ -24,10 +26,8 @@ except OSError as why:  # gmsh's wheel needs system libraries that it does not b
     ) from None
 
 gmsh: Any = _gmsh  # its stubs call arrays lists
-Ring = tuple[Array, float, Array, Array]  # centre, radius, axis, first direction
 HXT, DELAUNAY = 10, 1  # Mesh.Algorithm3D
 TETS = {1: 4, 2: 11}  # element types by order
-GMSH_TO_VTK = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]  # the last two middles are swapped
 
 
 @contextmanager
@@ -265,7 +265,7 @@ def arrays(order: int) -> Arrays:
     tets = np.concatenate(parts)
     region = np.repeat(np.arange(len(parts)), [len(p) for p in parts]) if volumes else None
     if order == 2:
-        tets = tets[:, GMSH_TO_VTK]
+        tets = tets[:, GMSH_ORDER]
     used = np.zeros(len(points), dtype=bool)
     used[tets] = True
     new = np.cumsum(used) - 1

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
-from plantsim.mesh.tetmesh import FACE_MIDS, FACES, INNER, gamma, jacobians, unique_rows
+from plantsim.mesh.tetmesh import INNER, TetMesh, gamma, jacobians
 from plantsim.solid.sweep import Solid, Tube
 
 
@@ -63,19 +63,16 @@ def _move(
         points[v] += step[best]
 
 
-def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
+def curve(mesh: TetMesh, solid: Solid) -> tuple[Array, int]:
     """Return points with the surface's middles on the tubes, and the tets held back.
 
-    `tets` (m, 10) with straight edges. An edge of the surface whose ends belong to one limb
+    `mesh` of order 2, straight edges. An edge of the surface whose ends belong to one limb
     has its middle moved radially to the mean of its ends' distances from the axis, in
     radii; edges within a flat end stay. Where a tet would fold, the middles of its edges go
     back by halves.
     """
-    faces = tets[:, FACES]
-    mids = tets[:, FACE_MIDS]
-    first, count = unique_rows(np.sort(faces.reshape(-1, 3), axis=1))
-    outer = np.sort(first[count == 1])
-    faces, mids = faces.reshape(-1, 3)[outer], mids.reshape(-1, 3)[outer]
+    points, tets = mesh.points, mesh.tets
+    faces, mids = mesh.surface[:, :3], mesh.surface[:, 3:]
     side = ~flat_ends(solid, points)[faces].all(axis=1)
     ends = faces[side][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     middle, where = np.unique(mids[side], return_index=True)

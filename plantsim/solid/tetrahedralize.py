@@ -138,9 +138,7 @@ def _finished(
     )
     if order == 2:
         mesh = mesh.with_order(2)
-        points, note["flattened"] = _timed(
-            note, "curve", curve, mesh.points, mesh.tets, solid
-        )
+        points, note["flattened"] = _timed(note, "curve", curve, mesh, solid)
         mesh = replace(mesh, points=points)
     _check_whole(solid, mesh)
     return mesh

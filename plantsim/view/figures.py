@@ -97,10 +97,7 @@ def _pyvista() -> Any:
 
 
 def _surface(pv: Any, mesh: TetMesh, points: Array) -> Any:
-    triangles = mesh.surface
-    if mesh.order == 2:  # four small triangles for each curved one
-        parts = ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])
-        triangles = np.concatenate([triangles[:, part] for part in parts])
+    triangles = mesh.triangles
     faces = np.hstack([np.full((len(triangles), 1), 3), triangles]).ravel()
     return pv.PolyData(np.asarray(points), faces).clean()
 
