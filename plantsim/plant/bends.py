@@ -48,10 +48,12 @@ def _even(axes: Splines, counts: Array) -> tuple[Array, Array, Array]:
 def worst_bend(axes: Splines) -> Array:
     """Return the largest radius / bend radius of each limb, (limbs,)."""
     i = axes.intervals
-    grid = np.repeat(i[:, None], len(SAMPLES), axis=1)
-    t = np.broadcast_to(SAMPLES, grid.shape)
     bend = np.zeros(len(axes.points))
-    bend[i] = (axes.curvature(grid, t) * axes.thickness(grid, t)).max(axis=1)
+    t = np.empty(len(i))
+    for sample in SAMPLES:
+        t[:] = sample
+        here = axes.curvature(i, t) * axes.thickness(i, t)
+        bend[i] = np.maximum(bend[i], here)
     return np.maximum.reduceat(bend, axes.first)
 
 

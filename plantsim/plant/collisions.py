@@ -1,7 +1,7 @@
-"""Limbs that pass through others: found with a k-d tree over capsules, turned or dropped.
+"""Limbs that pass through others: found by sweeping over capsules, turned or dropped.
 
 Every axis is cut into short straight pieces; a piece and its radius are a capsule. Only
-pieces whose centres are near enough are compared.
+pieces whose boxes meet are compared.
 Source of the segment distance: C. Ericson, Real-Time Collision Detection (2005), 5.1.9.
 """
 
@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
 from plantsim.plant.prune import without
@@ -99,36 +98,50 @@ def colliding(
 
 
 def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
-    """Return pairs of capsules whose bounding balls meet, by classes of size."""
-    centre = (c.a + c.b) / 2
-    ball = np.linalg.norm(c.b - c.a, axis=1) / 2 + clear * c.radius
-    kind = np.floor(np.log2(ball / ball.min()) / 1.5).astype(int)
-    groups = [np.flatnonzero(kind == k) for k in np.unique(kind)]
-    trees = [KDTree(centre[g]) for g in groups]
-    found = [np.zeros((2, 0), dtype=int)]
-    for a, (g, tree) in enumerate(zip(groups, trees, strict=True)):
-        if only is None:
-            pairs = tree.query_pairs(2 * ball[g].max(), output_type="ndarray")
-            found.append(g[pairs.T])
-            mine, seek = g, tree
-        else:
-            mine = g[only[g]]
-            if not len(mine):
-                continue
-            seek = KDTree(centre[mine])
-        for h, other in list(zip(groups, trees, strict=True))[
-            a + 1 if only is None else 0 :
-        ]:
-            reach = ball[mine].max() + ball[h].max()
-            near = seek.sparse_distance_matrix(other, reach, output_type="ndarray")
-            found.append(np.stack([mine[near["i"]], h[near["j"]]]))
-    i, j = np.concatenate(found, axis=1)
+    """Return pairs of capsules whose boxes and bounding balls meet.
+
+    By sweep and prune: boxes are sorted along the longest axis within the cells of a grid
+    over the other two; a pair counts in the first cell that both stand in.
+    """
+    pad = (clear * c.radius)[:, None]
+    low, high = np.minimum(c.a, c.b) - pad, np.maximum(c.a, c.b) + pad
+    low, high = low - low.min(axis=0), high - low.min(axis=0)
+    size = (high - low).mean(axis=0)
+    z, y, x = np.argsort(low.max(axis=0) / size)
+    wide = np.maximum(4 * size, high.max(axis=0) / 100)
+    begin, end = np.floor(low / wide).astype(int), np.floor(high / wide).astype(int)
+    rows = end[:, z] - begin[:, z] + 1
+    each = (end[:, y] - begin[:, y] + 1) * rows
+    box, k = _counted(each)
+    cell_y, cell_z = begin[box, y] + k // rows[box], begin[box, z] + k % rows[box]
+    line = 2 * high[:, x].max() * (cell_y * (end[:, z].max() + 1) + cell_z)
+    left, right = line + low[box, x], line + high[box, x]
+    order = np.argsort(left)
+    box, cell_y, cell_z = box[order], cell_y[order], cell_z[order]
+    until = np.searchsorted(left[order], right[order], side="right")
+    one, k = _counted(until - np.arange(len(box)) - 1)
+    two = one + 1 + k
+    i, j = box[one], box[two]
     # neighbours on one limb always touch
-    apart = (c.limb[i] != c.limb[j]) | (np.abs(i - j) > 2)
-    i, j = i[apart], j[apart]
+    meet = (c.limb[i] != c.limb[j]) | (np.abs(i - j) > 2)
+    meet &= cell_y[one] == np.maximum(begin[i, y], begin[j, y])
+    meet &= cell_z[one] == np.maximum(begin[i, z], begin[j, z])
+    if only is not None:
+        meet &= only[i] | only[j]
+    i, j = i[meet], j[meet]
+    centre = (c.a + c.b) / 2
+    ball = np.linalg.norm(c.b - c.a, axis=1) / 2 + pad[:, 0]
     d = centre[i] - centre[j]
     meet = np.einsum("ij,ij->i", d, d) < (ball[i] + ball[j]) ** 2
+    for axis in (y, z):
+        meet &= (low[i, axis] <= high[j, axis]) & (low[j, axis] <= high[i, axis])
     return i[meet], j[meet]
+
+
+def _counted(each: Array) -> tuple[Array, Array]:
+    """Return i, `each[i]` times for every i, and the count 0, 1, .. within each."""
+    i = np.repeat(np.arange(len(each)), each)
+    return i, np.arange(len(i)) - np.repeat(np.cumsum(each) - each, each)
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:

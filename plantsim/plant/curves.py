@@ -6,6 +6,7 @@ banded solve, so that what is checked is what is swept, at a thousandth of a sec
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -36,47 +37,57 @@ class Splines:
         slope = _slopes(radius, back, h, self.first, self.last)
         return replace(self, radius=radius, slope=slope)
 
+    @cached_property
+    def cubic(self) -> Array:
+        """Coefficients of 1, t, t^2, t^3 of the points on each interval, (n, 4, 3)."""
+        out = np.zeros((len(self.points), 4, 3))
+        h2 = (np.diff(self.arc) ** 2)[:, None]
+        a, b = h2 * self.bend[:-1], h2 * self.bend[1:]
+        out[:, 0] = self.points
+        out[:-1, 1] = np.diff(self.points, axis=0) - (2 * a + b) / 6
+        out[:-1, 2] = a / 2
+        out[:-1, 3] = (b - a) / 6
+        return out
+
+    @cached_property
+    def conic(self) -> Array:
+        """Coefficients of 1, t, t^2, t^3 of the radius on each interval, (n, 4)."""
+        out = np.zeros((len(self.points), 4))
+        h = np.diff(self.arc)
+        rise = np.diff(self.radius)
+        a, b = h * self.slope[:-1], h * self.slope[1:]
+        out[:, 0] = self.radius
+        out[:-1, 1] = a
+        out[:-1, 2] = 3 * rise - 2 * a - b
+        out[:-1, 3] = a + b - 2 * rise
+        return out
+
     def at(self, interval: Array, t: Array) -> Array:
         """Return points (..., 3) at the fractions t of intervals."""
-        h = self.arc[interval + 1] - self.arc[interval]
-        a, b = 1 - t, t
-        return (
-            a[..., None] * self.points[interval]
-            + b[..., None] * self.points[interval + 1]
-            + ((a**3 - a) * h**2 / 6)[..., None] * self.bend[interval]
-            + ((b**3 - b) * h**2 / 6)[..., None] * self.bend[interval + 1]
-        )
+        c, t = self.cubic.take(interval, axis=0), t[..., None]
+        return ((c[..., 3, :] * t + c[..., 2, :]) * t + c[..., 1, :]) * t + c[..., 0, :]
 
     def velocity(self, interval: Array, t: Array) -> Array:
         """Return derivatives (..., 3) by chord length; about 1 long."""
-        h = self.arc[interval + 1] - self.arc[interval]
-        return (
-            (self.points[interval + 1] - self.points[interval]) / h[..., None]
-            - ((3 * (1 - t) ** 2 - 1) * h / 6)[..., None] * self.bend[interval]
-            + ((3 * t**2 - 1) * h / 6)[..., None] * self.bend[interval + 1]
-        )
+        c, t = self.cubic.take(interval, axis=0), t[..., None]
+        h = (self.arc[interval + 1] - self.arc[interval])[..., None]
+        return ((3 * c[..., 3, :] * t + 2 * c[..., 2, :]) * t + c[..., 1, :]) / h
 
     def curvature(self, interval: Array, t: Array) -> Array:
         """Return curvatures [1/m]."""
-        d1 = self.velocity(interval, t)
-        w = t[..., None]
-        d2 = (1 - w) * self.bend[interval] + w * self.bend[interval + 1]
-        x, y, z = (d1[..., i] for i in range(3))
-        a, b, c = (d2[..., i] for i in range(3))
-        cross = (y * c - z * b) ** 2 + (z * a - x * c) ** 2 + (x * b - y * a) ** 2
-        return np.sqrt(cross) / (x * x + y * y + z * z) ** 1.5
+        c = self.cubic.take(interval, axis=0)
+        x, y, z = (
+            (3 * c[..., 3, i] * t + 2 * c[..., 2, i]) * t + c[..., 1, i] for i in range(3)
+        )
+        p, q, r = (6 * c[..., 3, i] * t + 2 * c[..., 2, i] for i in range(3))
+        cross = (y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2
+        speed = x * x + y * y + z * z
+        return np.sqrt(cross / speed) / speed
 
     def thickness(self, interval: Array, t: Array) -> Array:
         """Return radii [m]: monotone between nodes."""
-        h = self.arc[interval + 1] - self.arc[interval]
-        a, b = self.radius[interval], self.radius[interval + 1]
-        da, db = self.slope[interval] * h, self.slope[interval + 1] * h
-        return (
-            (2 * t**3 - 3 * t**2 + 1) * a
-            + (t**3 - 2 * t**2 + t) * da
-            + (3 * t**2 - 2 * t**3) * b
-            + (t**3 - t**2) * db
-        )
+        c = self.conic.take(interval, axis=0)
+        return ((c[..., 3] * t + c[..., 2]) * t + c[..., 1]) * t + c[..., 0]
 
     def locate(self, limb: Array, arc: Array) -> tuple[Array, Array]:
         """Return (interval, fraction) at arc lengths [m] along limbs."""

@@ -10,67 +10,77 @@ from plantsim.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Orthonormal right-handed frames; each of x, y, z is (..., 3)."""
+    """Orthonormal right-handed frames: the rows of `axes` (..., 3, 3) are x, y and z."""
 
-    x: Array
-    y: Array
-    z: Array
+    axes: Array
+
+    @property
+    def x(self) -> Array:
+        """Across the stem, (..., 3)."""
+        return self.axes[..., 0, :]
+
+    @property
+    def y(self) -> Array:
+        """Across the stem, (..., 3)."""
+        return self.axes[..., 1, :]
+
+    @property
+    def z(self) -> Array:
+        """Along the stem, (..., 3)."""
+        return self.axes[..., 2, :]
 
     def picked(self, rows: Any) -> "Frames":
         """Return the frames of some rows."""
-        return Frames(self.x[rows], self.y[rows], self.z[rows])
+        return Frames(self.axes[rows])
 
     def put(self, rows: Any, other: "Frames") -> None:
-        """Write frames into rows of these arrays, which the caller owns."""
-        self.x[rows], self.y[rows], self.z[rows] = other.x, other.y, other.z
+        """Write frames into rows of this array, which the caller owns."""
+        self.axes[rows] = other.axes
 
 
-def _mix(a: Array, u: Array, b: Array, v: Array) -> Array:
-    return a[..., None] * u + b[..., None] * v
+def _turned(f: Frames, i: int, j: int, angle: Array) -> Frames:
+    """Turn the axes i and j in their plane, i towards j."""
+    c, s = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    u, v = f.axes[..., i, :], f.axes[..., j, :]
+    out = f.axes.copy()
+    out[..., i, :] = c * u + s * v
+    out[..., j, :] = c * v - s * u
+    return Frames(out)
 
 
 def about_x(f: Frames, angle: Array) -> Frames:
     """Turn about the own x; a positive angle tips z away from y."""
-    c, s = np.cos(angle), np.sin(angle)
-    return Frames(f.x, _mix(c, f.y, s, f.z), _mix(-s, f.y, c, f.z))
+    return _turned(f, 1, 2, angle)
 
 
 def about_y(f: Frames, angle: Array) -> Frames:
     """Turn about the own y; a positive angle tips z towards x."""
-    c, s = np.cos(angle), np.sin(angle)
-    return Frames(_mix(c, f.x, -s, f.z), f.y, _mix(s, f.x, c, f.z))
+    return _turned(f, 2, 0, angle)
 
 
 def about_z(f: Frames, angle: Array) -> Frames:
     """Roll about the own z."""
-    c, s = np.cos(angle), np.sin(angle)
-    return Frames(_mix(c, f.x, s, f.y), _mix(-s, f.x, c, f.y), f.z)
+    return _turned(f, 0, 1, angle)
 
 
 def about_vertical(f: Frames, angle: Array) -> Frames:
     """Turn about the world's z."""
-    c, s = np.cos(angle), np.sin(angle)
-
-    def turned(v: Array) -> Array:
-        return np.stack(
-            [c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1], v[..., 2]], -1
-        )
-
-    return Frames(turned(f.x), turned(f.y), turned(f.z))
+    c, s = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    x, y = f.axes[..., 0], f.axes[..., 1]
+    out = f.axes.copy()
+    out[..., 0] = c * x - s * y
+    out[..., 1] = s * x + c * y
+    return Frames(out)
 
 
 def towards(f: Frames, pull: Array, rate: float) -> Frames:
     """Turn z towards a vector by `rate` radians times |z x pull|."""
     cross = np.cross(f.z, pull)
     size = np.sqrt(np.einsum("...i,...i->...", cross, cross))
-    axis = cross / np.maximum(size, 1e-12)[..., None]
-    c, s = np.cos(rate * size)[..., None], np.sin(rate * size)[..., None]
-
-    def turned(v: Array) -> Array:
-        along = np.einsum("...i,...i->...", axis, v)[..., None]
-        return c * v + s * np.cross(axis, v) + (1 - c) * along * axis
-
-    return Frames(turned(f.x), turned(f.y), turned(f.z))
+    axis = (cross / np.maximum(size, 1e-12)[..., None])[..., None, :]
+    c, s = np.cos(rate * size)[..., None, None], np.sin(rate * size)[..., None, None]
+    along = np.einsum("...ki,...ki->...k", axis, f.axes)[..., None]
+    return Frames(c * f.axes + s * np.cross(axis, f.axes) + (1 - c) * along * axis)
 
 
 def declination(z: Array) -> Array:
@@ -88,4 +98,4 @@ def on_tangent(y: Array, tangent: Array) -> Frames:
         x = np.where(bad[..., None], np.cross(other, tangent), x)
         size = np.sqrt(np.einsum("...i,...i->...", x, x))
     x = x / size[..., None]
-    return Frames(x, np.cross(tangent, x), tangent)
+    return Frames(np.stack([x, np.cross(tangent, x), tangent], axis=-2))

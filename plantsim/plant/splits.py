@@ -33,7 +33,6 @@ class Splits:
         self.number: list[int] = []  # which clone of its split
         self.count: list[int] = []  # how many clones its split makes
         self.share: list[list[float]] = []
-        self.at: dict[tuple[int, int], int] = {}  # (row, segment) -> clones
         self.error = 0.0
         m, n = self.model, min(self.level, LEVELS - 1)
         self.rate = m.seg_splits[n]
@@ -79,10 +78,21 @@ class Splits:
             if clones and m.published:  # together they carry nBranches children
                 gain = factor = gain / (clones + 1)
             if clones and s < self.segments:
-                self.at[row, s] = clones
                 for j in range(clones):
                     clone = self.add(s, row, j, -clones if base else clones)
                     self.walk(clone, s, chance, factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Clones:
+    """Of every stem of a level, which clone of its split it is; c stems in all."""
+
+    number: Array  # (c,) among the clones of its split
+    count: Array  # (c,) clones of the split, negative for a split at the base
+
+    def picked(self, rows: Array) -> "Clones":
+        """Return those of some stems."""
+        return Clones(self.number[rows], self.count[rows])
 
 
 def turned_by_split(
@@ -91,7 +101,7 @@ def turned_by_split(
     now: Frames,
     rows: Array,
     clones: Array,
-    split: Splits,
+    split: Clones,
     noise: Array,
     of: Array,
 ) -> tuple[Frames, Frames, Array]:
@@ -101,8 +111,7 @@ def turned_by_split(
     splits from; `noise` (4, all) uniform in -1 .. 1.
     """
     origin = of[clones]
-    number = np.array(split.number)[clones]
-    count = np.array(split.count)
+    number, count = split.number[clones], split.count
     base = count[clones] < 0
     many = np.zeros(len(noise[0]), dtype=int)
     many[origin] = np.abs(count[clones])

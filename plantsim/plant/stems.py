@@ -23,7 +23,7 @@ from plantsim.plant.frames import (
 )
 from plantsim.plant.parameters import LEVELS, WeberPenn
 from plantsim.plant.profile import shape_ratio
-from plantsim.plant.splits import Splits, turned_by_split
+from plantsim.plant.splits import Clones, Splits, turned_by_split
 
 HELIX = 6  # points that follow half a turn of a helix
 
@@ -107,7 +107,7 @@ def grow_level(
 
     `start` (m, 3) [m] and `frames` (m): feet and first directions. `seed`: the stems with
     everything but splits and nodes. `wanted`: a mask of stems that are worth a course, for
-    a level that neither splits nor bears another; the others are left out, but the random
+    a level that bears no other; the others and their clones are left out, but the random
     draws are the same.
     """
     n = min(level, LEVELS - 1)
@@ -121,10 +121,11 @@ def grow_level(
             split.add(0, -1, 0, 0)
         for row in range(many):
             split.walk(row, 0, 1.0, 1.0)
-        origin = np.array(split.origin)
-        rows = np.where(origin < 0, np.arange(len(origin)), 0)
-        for i in range(many, len(origin)):
-            rows[i] = rows[origin[i]]
+        root = list(range(many))
+        for origin in split.origin[many:]:
+            root.append(root[origin])
+        rows = np.array(root)
+    clones = Clones(np.array(split.number), np.array(split.count)) if split else None
     stems = replace(
         seed,
         segments=segments,
@@ -142,13 +143,14 @@ def grow_level(
     if m.curve_v[n] < 0:
         return _wound(m, rng, stems, start, frames)
     noise = rng.uniform(-1, 1, (4, len(rows), segments))
-    if wanted is not None and split is None:
-        spared = int((~wanted).sum())
-        stems = replace(stems, side=stems.share, spared=spared)
-        stems = picked_stems(stems, wanted, np.cumsum(wanted) - 1)
-        start, frames, noise = start[wanted], frames.picked(wanted), noise[:, wanted]
-        many, rows = len(start), rows[wanted]
-    ways = _directions(m, noise, stems, frames, split)
+    if wanted is not None:
+        keep = wanted[rows]
+        stems = replace(stems, side=stems.share, spared=int((~keep).sum()))
+        stems = picked_stems(stems, keep, np.cumsum(keep) - 1)
+        start, frames, noise = start[wanted], frames.picked(wanted), noise[:, keep]
+        clones = clones.picked(keep) if clones else None
+        many, rows = len(start), rows[keep]
+    ways = _directions(m, noise, stems, frames, clones)
     stems = replace(stems, side=ways.y)
     keep = np.ones(len(rows), dtype=bool)
     if m.prune_ratio > 0:
@@ -181,12 +183,12 @@ def _directions(
     noise: Array,
     stems: Stems,
     frames: Frames,
-    split: Splits | None,
+    split: Clones | None,
 ) -> Frames:
     """Return the frame of every segment, (rows, segments, 3) each of x, y, z."""
     n, segments, total = min(stems.level, LEVELS - 1), stems.segments, len(stems.start)
-    out = Frames(*(np.zeros((total, segments, 3)) for _ in range(3)))
-    now = Frames(*(np.zeros((total, 3)) for _ in range(3)))
+    out = Frames(np.zeros((total, segments, 3, 3)))
+    now = Frames(np.zeros((total, 3, 3)))
     now.put(np.arange(len(frames.z)), frames)
     give_back = np.zeros(total)  # degrees a segment that undo the splits
     begun = stems.start == 0
@@ -249,20 +251,25 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
     step = 0.9 if not m.published else 0.95
     open_ = np.ones(len(own), dtype=bool)
     least = 0.15 if not m.published else 0.02
+    trial = step ** np.arange(8)  # so many lengths at a time
     while open_.any():
         i = np.flatnonzero(open_)
+        sizes = factor[i, None] * trial
         points = (
-            start[own[i], None] + path[i] * (factor[i] * stems.whole[own[i]])[:, None, None]
+            start[own[i], None, None]
+            + path[i, None] * (sizes * stems.whole[own[i], None])[..., None, None]
         )
-        tall = stems.height[own[i], None]
+        tall = stems.height[own[i], None, None]
         q = (tall - points[..., 2]) / (tall * (1 - m.bare[0]))
         out = np.hypot(points[..., 0], points[..., 1]) / tall
-        good = (out < m.prune_width * shape_ratio(8, q, m)).all(axis=1)
-        open_[i[good]] = False
-        factor[i[~good]] *= step
-        gone = open_ & (factor < least)
-        factor[gone] = 0.0
-        open_[gone] = False
+        good = (out < m.prune_width * shape_ratio(8, q, m)).all(axis=-1)
+        good |= sizes < least
+        fits = good.any(axis=1)
+        factor[i] = np.where(
+            fits, sizes[np.arange(len(i)), good.argmax(axis=1)], sizes[:, -1] * step
+        )
+        open_[i[fits]] = False
+    factor[factor < least] = 0.0
     length = 1 - m.prune_ratio + m.prune_ratio * factor
     # clones have the fitted length of the stem that they split from
     root = np.arange(len(stems.origin))

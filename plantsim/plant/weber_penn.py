@@ -80,14 +80,18 @@ class _Wanted:
     min_radius: float  # m; below 0: 2 % of the trunk's
     most: int
 
-    def floor(self, levels: list[Stems], *more: Array) -> float:
-        """Return the radius [m] at its foot below which no stem will be wanted."""
+    def floor(self, levels: list[Stems], *more: Array, spare: int = 1) -> float:
+        """Return the radius [m] at its foot below which no stem will be wanted.
+
+        `spare`: so many times as many, since pruning has yet to make some thinner.
+        """
         sizes = np.concatenate([*(s.size for s in levels), *more])
         thin = self.min_radius
         thin = max(5e-4, 0.02 * float(levels[0].size[0])) if thin < 0 else thin
-        if len(sizes) <= self.most:
+        most = spare * self.most
+        if len(sizes) <= most:
             return thin
-        return max(thin, float(np.partition(sizes, -self.most)[-self.most]))
+        return max(thin, float(np.partition(sizes, -most)[-most]))
 
 
 def _thick(levels: list[Stems], wanted: _Wanted) -> list[Stems]:
@@ -132,24 +136,28 @@ def grown(
     length = height * (m.length[0] + m.length_v[0] * rng.uniform(-1, 1, trunks))
     thick = m.ratio * m.radius_mod[0] * girth
     start = _places(m, rng, trunks)
-    eye = [np.tile(axis, (trunks, 1)) for axis in np.eye(3)]
+    eye = np.tile(np.eye(3), (trunks, 1, 1))
     seed = _seed(m, rng, 0, length, length * thick)
     # the crown begins at BaseSize of the tree; the program says of the trunk
     bare = m.bare[0] * (height if m.published else length)
     seed = _with(seed, base=np.minimum(bare, 0.99 * length), height=height)
-    out = [grow_level(m, rng, 0, start, about_z(Frames(*eye), roll), seed)]
+    out = [grow_level(m, rng, 0, start, about_z(Frames(eye), roll), seed)]
     while len(out) < levels:
         if wanted is not None and _bound(m, out[-1]) < wanted.floor(out):
             break
         born = _children(m, rng, out[-1], out[-2] if len(out) > 1 else None)
         if born is None:
             break
-        mask = None
-        if wanted is not None and len(out) + 1 == levels:
-            mask = born[2].size >= wanted.floor(out, born[2].size)
-            if not mask.any():
-                break
+        mask, seed = None, born[2]
+        if wanted is not None:
+            floor = wanted.floor(out, seed.size, spare=1 if m.prune_ratio == 0 else 2)
+            last = len(out) + 1 == levels or _bound(m, seed) < floor
+            mask = seed.size >= floor if last else None
+        if mask is not None and not mask.any():
+            break
         out.append(grow_level(m, rng, len(out), *born, mask))
+        if mask is not None:
+            break
     return out
 
 
@@ -338,15 +346,12 @@ def _joined(m: WeberPenn, levels: list[Stems]) -> Skeleton:
         grid = {int(s): _grid(m, stems, int(s)) for s in np.unique(stems.start)}
         size = np.array([len(grid[int(s)]) for s in stems.start])
         first = nodes + np.cumsum(size) - size
-        p, r = np.empty((size.sum(), 3)), np.empty(size.sum())
-        for s, t in grid.items():
-            pick = np.flatnonzero(stems.start == s)
-            where = (first[pick] - nodes)[:, None] + np.arange(len(t))
-            time = np.tile(t, (len(pick), 1))
-            p[where] = stems.at(np.repeat(pick[:, None], len(t), axis=1), time)[0]
-            foot, whole = stems.size[pick, None], stems.whole[pick, None]
-            thin = radius_at(m, stems.level, foot, whole, time / stems.segments)
-            r[where] = np.maximum(thin, np.maximum(1e-3 * foot, THINNEST))
+        stem = np.repeat(np.arange(rows), size)
+        time = np.concatenate([grid[int(s)] for s in stems.start])
+        p = stems.at(stem, time)[0]
+        foot = stems.size[stem]
+        thin = radius_at(m, stems.level, foot, stems.whole[stem], time / stems.segments)
+        r = np.maximum(thin, np.maximum(1e-3 * foot, THINNEST))
         at = np.full(rows, -1)
         clones = np.flatnonzero(stems.origin >= 0)
         own = np.flatnonzero(stems.origin < 0)
