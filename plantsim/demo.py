@@ -27,6 +27,7 @@ YOUNG = 6e9  # the prior's Young's modulus [Pa]; the plant's limbs scatter about
 TOUCHES = 5
 PUSHED = 10  # vertices moved together, as in the paper
 PUSH = 0.01  # [m] downwards
+STAGES = 10  # that the walk tells of
 DRAWN = 3.0  # displacements in the picture, times the real ones
 
 
