@@ -17,6 +17,7 @@ HOMES = {
     "skfem": {"elastic/stiffness.py"},
     "cvxpy": {"estimation/force_balance.py"},
     "pyvista": {"view/figures.py"},
+    "viser": {"view/app.py"},
     "typer": {"cli"},  # a folder
     "rich": {"cli"},
 }
@@ -83,7 +84,7 @@ def test_files_stay_short(path):
 def test_import_is_light():
     code = (
         "import sys, plantsim; heavy = set(sys.modules) & set("
-        "'gmsh meshio pyamg skfem cvxpy pyvista vtk typer matplotlib'.split()); "
+        "'gmsh meshio pyamg skfem cvxpy pyvista vtk viser typer matplotlib'.split()); "
         "assert not heavy, heavy; assert 'weber_penn' in dir(plantsim)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
