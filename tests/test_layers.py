@@ -17,6 +17,7 @@ HOMES = {
     "skfem": {"elastic/stiffness.py"},
     "cvxpy": {"estimation/force_balance.py"},
     "pyvista": {"view/figures.py"},
+    "trimesh": {"mesh/surfaces.py"},
     "viser": {"view/app.py"},
     "typer": {"cli"},  # a folder
     "rich": {"cli"},

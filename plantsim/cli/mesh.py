@@ -9,6 +9,8 @@ import typer
 import plantsim as ps
 from plantsim.cli.app import Json, app, reporting, working
 from plantsim.errors import ModelError
+from plantsim.mesh.files import FORMATS
+from plantsim.mesh.surfaces import SURFACES
 from plantsim.paths import writable
 
 
@@ -16,7 +18,10 @@ from plantsim.paths import writable
 def mesh(
     source: Annotated[Path, typer.Argument(help=".geo, .step, .brep, .msh, .vtu or .npz")],
     out: Annotated[
-        Path | None, typer.Option(help="Write the mesh here: .msh, .vtu or .npz.")
+        Path | None,
+        typer.Option(
+            help="Write it here: .msh, .vtu, .npz; surface: .stl, .ply, .obj, .glb."
+        ),
     ] = None,
     order: Annotated[
         int | None, typer.Option(help="1 or 2; geometry: 2, mesh: as it is.")
@@ -38,8 +43,8 @@ def mesh(
     """
     with reporting(json) as report:
         if out is not None:
-            writable(out, ".msh", ".vtu", ".npz")
-        if source.suffix.lower() in (".msh", ".vtu", ".npz"):
+            writable(out, *FORMATS, *SURFACES)
+        if source.suffix.lower() in FORMATS:
             if size is not None:
                 raise ModelError(
                     f"--size {size}: {source} is a mesh already. Leave it out."

@@ -7,6 +7,7 @@ import typer
 
 import plantsim as ps
 from plantsim.cli.app import Json, app, ids_from, numbers, reporting, working
+from plantsim.mesh.surfaces import SURFACES
 from plantsim.paths import writable
 
 
@@ -21,7 +22,10 @@ def push(
     young: Annotated[float, typer.Option(help="Young's modulus [Pa].")] = 6e9,
     poisson: Annotated[float, typer.Option(help="Poisson's ratio.")] = 0.3,
     solver: Annotated[str, typer.Option(help="auto, direct or multigrid.")] = "auto",
-    out: Annotated[Path | None, typer.Option(help="Write the state here: .vtu")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write the state here: .vtu; deformed surface: .stl .."),
+    ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the state here: .png")] = None,
     json: Json = False,
 ) -> None:
@@ -31,9 +35,10 @@ def push(
     """
     with reporting(json) as report:
         # before the work, not after it
-        for path, suffix in ((out, ".vtu"), (picture, ".png")):
-            if path is not None:
-                writable(path, suffix)
+        if out is not None:
+            writable(out, ".vtu", *SURFACES)
+        if picture is not None:
+            writable(picture, ".png", ".svg")
         found = ps.read_mesh(source)
         model = ps.ElasticModel(
             found,
@@ -61,9 +66,7 @@ def push(
             f"{total[2]:.4g} N"
         )
         if out is not None:
-            from plantsim.demo import write_state  # noqa: PLC0415
-
-            report.wrote(write_state(state, out))
+            report.wrote(ps.write_state(state, out))
         if picture is not None:
             with working("drawing"):
                 report.wrote(ps.figure_deformation(state, picture))

@@ -6,6 +6,7 @@ open. All tabs show the same plant.
 """
 
 import contextlib
+import io
 import queue
 import threading
 import time
@@ -35,6 +36,14 @@ PORT = 8080
 FASTEST = 1 / 60  # [s] between two frames: what screens show
 SLOW = 1 / 12  # [s] between words and colours that change in a drag; the shape goes at once
 DEFAULT = Material(6e9, 0.35, 900.0)
+
+
+class Local(viser.ViserServer):
+    """A server that no page can put on the open network by asking for a shared address."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Refuse."""
+        del verbose
 
 
 class Viewer:
@@ -110,7 +119,8 @@ class Viewer:
         """Close the page and end the threads."""
         self._jobs.put(None)
         self._thread.join(timeout=10)
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     # what is done to the plant; each leaves the work to the one thread
 
