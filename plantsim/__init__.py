@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
+    from plantsim.elastic.files import write_state as write_state
+    from plantsim.elastic.files import write_states as write_states
     from plantsim.elastic.loads import force as force
     from plantsim.elastic.loads import hang as hang
     from plantsim.elastic.loads import hold as hold
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from plantsim.estimation.parameters import per_limb as per_limb
     from plantsim.mesh.files import read_mesh as read_mesh
     from plantsim.mesh.files import write_mesh as write_mesh
+    from plantsim.mesh.surfaces import write_surface as write_surface
     from plantsim.mesh.tetmesh import TetMesh as TetMesh
     from plantsim.plant.files import read_skeleton as read_skeleton
     from plantsim.plant.files import write_skeleton as write_skeleton
@@ -72,6 +75,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "plantsim.elastic.equilibrium": ("Equilibrium",),
+    "plantsim.elastic.files": ("write_state", "write_states"),
     "plantsim.elastic.loads": ("force", "hang", "hold", "move", "traction"),
     "plantsim.elastic.material": ("Material",),
     "plantsim.elastic.model": ("ElasticModel",),
@@ -98,6 +102,7 @@ _HOME = {
     ),
     "plantsim.estimation.parameters": ("per_element", "per_limb"),
     "plantsim.mesh.files": ("read_mesh", "write_mesh"),
+    "plantsim.mesh.surfaces": ("write_surface",),
     "plantsim.mesh.tetmesh": ("TetMesh",),
     "plantsim.plant.simple": ("fork", "straight", "tapered", "whorl", "zigzag"),
     "plantsim.plant.skeleton": ("Limb", "Skeleton"),

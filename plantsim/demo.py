@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.elastic.equilibrium import Equilibrium
+from plantsim.elastic.files import write_state
 from plantsim.elastic.loads import move
 from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
@@ -27,6 +27,7 @@ YOUNG = 6e9  # the prior's Young's modulus [Pa]; the plant's limbs scatter about
 TOUCHES = 5
 PUSHED = 10  # vertices moved together, as in the paper
 PUSH = 0.01  # [m] downwards
+STAGES = 10  # that the walk tells of
 DRAWN = 3.0  # displacements in the picture, times the real ones
 
 
@@ -125,19 +126,3 @@ def touch_points(mesh: TetMesh, rng: np.random.Generator) -> Array:
     trunk = np.unique(mesh.tets[mesh.region == 0])
     corners = np.setdiff1d(np.unique(mesh.surface[:, :3]), trunk)
     return np.sort(rng.choice(corners, PUSHED, replace=False))
-
-
-def write_state(state: Equilibrium, path: Path) -> Path:
-    """Write displacement [m], force [N], moduli and stress [Pa] at rest to a .vtu."""
-    material = state.model.material
-    count = len(state.model.mesh.tets)
-    return write_mesh(
-        state.model.mesh,
-        path,
-        point_data={"displacement": state.displacement, "force": state.force},
-        cell_data={
-            "young": np.broadcast_to(material.young, (count,)),
-            "poisson": np.broadcast_to(material.poisson, (count,)),
-            "von_mises": state.von_mises,
-        },
-    )

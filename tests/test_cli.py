@@ -1,5 +1,7 @@
 """The command line as a user meets it: exit codes, one sentence, files."""
 
+import json
+import os
 import subprocess
 import sys
 
@@ -86,11 +88,56 @@ def test_bad_input_is_one_sentence(beam, tmp_path):
     refused("mesh", beam, "--size", "0.5", says="mesh already")
 
 
+def test_json_for_machines(beam, tmp_path):
+    done = run("mesh", beam, "--out", tmp_path / "b.vtu", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    mesh = ps.read_mesh(beam)
+    assert found["tets"] == sum(found["regions"].values()) == len(mesh.tets)
+    assert found["sets"]["tip"] == len(mesh.sets["tip"])
+    assert found["files"] == [str(tmp_path / "b.vtu")]
+    pushed = json.loads(run("push", beam, "--moved", "tip", "--json").stdout)
+    # a moved vertex does work: energy = force . motion / 2, moved 1 cm down together
+    assert pushed["energy"] == pytest.approx(-pushed["force"][2] * 0.01 / 2, rel=1e-9)
+    wrong = run("push", beam, "--moved", "leaf", "--json")
+    assert wrong.returncode == 1
+    assert json.loads(wrong.stdout)["kind"] == "ModelError"
+    assert wrong.stderr.count("\n") == 1
+
+
 def test_help_shows_examples():
-    for command in ("demo", "mesh", "push", "doctor"):
-        done = run(command, "--help")
-        assert done.returncode == 0
-        assert f"Example: plantsim {command}" in done.stdout
+    from plantsim.cli.app import app
+
+    names = [
+        command.name or command.callback.__name__ for command in app.registered_commands
+    ]
+    assert {"demo", "grow", "mesh", "push", "doctor"} <= set(names)
+    for command in app.registered_commands:
+        name = command.name or command.callback.__name__
+        assert f"Example: plantsim {name}" in command.callback.__doc__
+    done = run("push", "--help")
+    assert done.returncode == 0
+    assert "Example: plantsim push" in done.stdout
+    assert "--json" in done.stdout
+
+
+def test_the_shell_completes():
+    words = {"COMP_WORDS": "plantsim grow ap", "COMP_CWORD": "2"}
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys; sys.argv = ['plantsim']; from plantsim.cli import main; main()",
+        ],
+        env=os.environ | words | {"_PLANTSIM_COMPLETE": "complete_bash"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert {"apple", "apple_spindle"} <= set(done.stdout.split()), done
+
+
+def test_version_and_wrong_usage():
     assert run("--version").stdout.strip() == ps.__version__
     assert run("sing").returncode == 2
 

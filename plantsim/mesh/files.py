@@ -16,10 +16,11 @@ from plantsim.arrays import Array, few, frozen, vertex_ids
 from plantsim.errors import FileError, MeshError, ModelError
 from plantsim.mesh.msh41 import write_msh41
 from plantsim.mesh.msh41_reader import Block, physical_names, read_msh41
+from plantsim.mesh.surfaces import SURFACES, write_surface
 from plantsim.mesh.tetmesh import TetMesh, compact
 from plantsim.paths import existing, replacing, writable
 
-FORMATS = (".msh", ".vtu", ".npz")
+FORMATS = (".msh", ".vtu", ".npz")  # that are read and written
 Version = Literal["4.1", "2.2"]
 # VTK numbers the last two middles of a tetra10 the other way round than gmsh; meshio
 # permutes.
@@ -65,12 +66,13 @@ def write_mesh(
 ) -> Path:
     """Write the mesh to a .msh, .vtu or .npz file and return its path.
 
+    Its surface alone goes to .ply, .obj, .stl or .glb, as by `write_surface`.
     `version` and `binary` concern .msh; vertex ids, regions and sets survive a round trip.
     `point_data` (n, ...) and `cell_data` (m, ...) go into a .vtu beside region and sets.
     The file appears whole or not at all. Raises FileError for an unknown suffix or version,
     or for data that the format cannot hold.
     """
-    path = writable(path, *FORMATS)
+    path = writable(path, *FORMATS, *SURFACES)
     suffix = path.suffix.lower()
     if version not in ("4.1", "2.2"):
         raise FileError(f"{path}: .msh version {version!r}; there are '4.1' and '2.2'.")
@@ -78,6 +80,8 @@ def write_mesh(
         raise FileError(
             f"{path}: point and cell data are written to .vtu. Change the suffix."
         )
+    if suffix in SURFACES:
+        return write_surface(mesh, path)
     with replacing(path) as temporary:
         if suffix == ".npz":
             _write_npz(mesh, temporary)

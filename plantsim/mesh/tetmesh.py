@@ -157,6 +157,12 @@ class TetMesh:
             return faces[outer]
         return np.hstack([faces, self.tets[:, FACE_MIDS].reshape(-1, 3)])[outer]
 
+    @cached_property
+    def surface_tets(self) -> Array:
+        """The tet (k,) behind each boundary triangle of `surface`."""
+        first, count = self._faces
+        return np.sort(first[count == 1]) // len(FACES)
+
     @property
     def triangles(self) -> Array:
         """Flat triangles (k, 3) of the surface, outward; four for each curved face."""

@@ -1,0 +1,75 @@
+"""One style for every picture: colours that colour-blind eyes tell apart, lines, bars."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from plantsim.arrays import Array
+from plantsim.errors import DependencyError
+
+# Source: Okabe and Ito, Color Universal Design, 2008 (jfly.uni-koeln.de/color)
+BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
+YELLOW, BLUE, VERMILION, PURPLE = "#f0e442", "#0072b2", "#d55e00", "#cc79a7"
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+MARKS = ("o", "s", "^", "D", "v", "P", "X")  # a shape beside the colour: print is grey
+REST, DEFORMED = "#000000", "#9a9a9a"  # the paper's Figure 1
+MOVED, CONTACT = "#e31a1c", "#1b9e4b"
+# perceptually even and monotone in lightness, so that they survive a grey print
+STIFFNESS, UNCERTAINTY, STRESS = "viridis", "cividis", "plasma"
+_SETTINGS: dict[str, Any] = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "font.size": 10,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+    "lines.markersize": 6,
+    "svg.hashsalt": "plantsim",  # the same picture, the same bytes
+    "svg.fonttype": "none",
+}
+
+
+@contextmanager
+def styled() -> Iterator[Any]:
+    """Yield matplotlib with our settings while a figure is made.
+
+    Raises DependencyError where matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415  an extra
+        from cycler import cycler  # noqa: PLC0415
+    except ImportError:
+        raise DependencyError(
+            "no picture: matplotlib is not installed. Install plantsim[view]."
+        ) from None
+    settings: Any = _SETTINGS | {
+        "axes.prop_cycle": cycler(color=CYCLE) + cycler(marker=MARKS)
+    }
+    with mpl.rc_context(settings):
+        yield mpl
+
+
+def colours(
+    values: ArrayLike, cmap: str = STIFFNESS, span: tuple[float, float] | None = None
+) -> Array:
+    """Return 8-bit colours (k, 3) of values (k,), the span's ends at the map's ends."""
+    x = np.asarray(values, dtype=float)
+    low, high = span if span is not None else extent(x)
+    with styled() as mpl:
+        table = mpl.colormaps[cmap]
+    share = np.clip((x - low) / max(high - low, 1e-300), 0, 1)
+    return (255 * table(share)[..., :3]).round().astype(np.uint8)
+
+
+def extent(values: ArrayLike) -> tuple[float, float]:
+    """Return lowest and highest value; a single value stands in the middle."""
+    x = np.asarray(values, dtype=float)
+    low, high = float(x.min()), float(x.max())
+    pad = 0.0 if high > low else (0.05 * abs(high) or 1.0)
+    return low - pad, high + pad

@@ -1,0 +1,149 @@
+"""A plant under a hand, without a page: superposition, balance, what is recorded."""
+
+import numpy as np
+import pytest
+
+import plantsim as ps
+from plantsim.view.touching import Burden, Touching, hit, kinematics_of, limb_tips
+
+
+@pytest.fixture(scope="module")
+def model(fork):
+    return ps.ElasticModel(fork, ps.Material(6e9, 0.3, 900.0))
+
+
+@pytest.fixture
+def tip(model):
+    return ps.nearest_vertices(
+        model.mesh, model.mesh.points[model.mesh.points[:, 2].argmax()], count=5
+    )
+
+
+def test_a_drag_is_the_equilibrium(model, tip):
+    touching = Touching(model)
+    touching.hold(tip)
+    frame = touching.drag((0.002, 0.001, -0.003), (0.0, 0.02, 0.0))
+    grip = ps.grasp(tip, translation=(0.002, 0.001, -0.003), rotation=(0, 0.02, 0))
+    state = model.solve(grip)
+    on = model.mesh.surface_vertices
+    expected = (model.mesh.points + state.displacement)[on]
+    scale = np.abs(state.displacement).max()
+    assert np.abs(frame.surface - expected).max() < 1e-6 * scale
+    assert frame.force == pytest.approx(state.force[tip].sum(axis=0), rel=1e-6)
+    assert touching.von_mises() == pytest.approx(
+        state.von_mises, rel=1e-4, abs=1e-6 * state.von_mises.max()
+    )
+    assert touching.max_rotation() == pytest.approx(state.max_rotation, rel=1e-4)
+
+
+def test_burdens_superpose_as_loads_do(model, tip):
+    touching = Touching(model)
+    frame = touching.bear(Burden(gravity=2.0, fruit=0.5, stiffness=3.0))
+    tips = limb_tips(model.mesh)
+    stiff = model.with_material(model.material.with_young(3 * 6e9))
+    state = stiff.solve(
+        ps.gravity((0, 0, -2 * 9.80665)), ps.force(tips, (0, 0, -0.5 * 9.80665))
+    )
+    on = model.mesh.surface_vertices
+    found = frame.surface - model.mesh.points[on]
+    scale = np.abs(state.displacement).max()
+    assert np.abs(found - state.displacement[on]).max() < 1e-6 * scale
+    # thrice the modulus, thrice the force, the same shape beyond the sag
+    soft = Touching(model)
+    soft.hold(tip)
+    touching.hold(tip)
+    a, b = soft.drag((0.001, 0, 0)), touching.drag((0.001, 0, 0))
+    assert b.force == pytest.approx(3 * a.force, rel=1e-9)
+    assert touching.von_mises().max() > 0
+
+
+def test_fruit_hangs_where_the_skeleton_has_it(model):
+    skeleton = ps.fork(0.3, 0.02).with_fruit(count=3, mass=0.2, stalk=0.02)
+    touching = Touching(model, skeleton.masses)
+    frame = touching.bear(Burden(fruit=0.6))
+    state = model.solve(ps.gravity(masses=skeleton.masses))
+    bare = model.solve(ps.gravity())
+    on = model.mesh.surface_vertices
+    expected = (state.displacement - bare.displacement)[on]
+    found = frame.surface - model.mesh.points[on]
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_what_is_recorded_gives_the_stiffness_back(model, tip):
+    truth = np.array([6e9, 9e9, 4e9])[model.mesh.region]
+    touching = Touching(model.with_material(model.material.with_young(truth)))
+    touching.bear(Burden(gravity=1.0))  # a touch is counted from the burdened rest
+    seen = []
+    for limb in range(1, 3):
+        ids = touching.patch(
+            model.mesh.points[limb_tips(model.mesh)[limb - 1]],
+            model.mesh.points[model.mesh.surface_vertices],
+            6,
+        )
+        touching.hold(ids)
+        touching.drag((0.002, 0.001, -0.002))
+        seen.append(touching.record())
+    found = ps.estimate(model, seen, parameters=ps.per_limb(), rows="balance")
+    assert list(found.young().values()) == pytest.approx([6e9, 9e9, 4e9], rel=0.02)
+    with pytest.raises(ps.ModelError, match="Hold"):
+        touching.let_go()
+        touching.record()
+
+
+def test_recorded_noise_is_what_was_asked_for(model, tip):
+    touching = Touching(model)
+    touching.hold(tip)
+    touching.drag((0.002, 0, 0))
+    exact = touching.record()
+    noisy = touching.record(displacement_noise=1e-3, force_noise=0.5, rng=3)
+    off = noisy.displacement - exact.displacement
+    assert off.std() == pytest.approx(1e-3, rel=0.1)
+    totals = [
+        (touching.record(force_noise=0.5, rng=k).force - exact.force).sum(axis=0)
+        for k in range(200)
+    ]
+    assert np.std(totals) == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_patch_is_of_one_limb_and_free(model):
+    touching = Touching(model)
+    mesh = model.mesh
+    surface = mesh.points[mesh.surface_vertices]
+    ids = touching.patch(mesh.points[mesh.sets["base"][0]], surface, 9)
+    assert len(ids) == 9
+    assert not np.intersect1d(ids, model.fixed_ids).size
+    far = touching.patch(mesh.points[mesh.points[:, 2].argmax()], surface, 9)
+    regions = [set(np.asarray(mesh.region)[(mesh.tets == v).any(axis=1)]) for v in far]
+    assert set.intersection(*regions)
+
+
+def test_a_ray_meets_the_nearest_triangle(cube):
+    triangles = np.searchsorted(cube.surface_vertices, cube.triangles)
+    points = cube.points[cube.surface_vertices]
+    at = hit((0.3, 0.6, 5.0), (0, 0, -2.0), points, triangles)
+    assert at == pytest.approx([0.3, 0.6, 1.0])
+    assert hit((0.3, 0.6, 5.0), (0, 0, 1.0), points, triangles) is None
+    assert hit((3.0, 0.6, 5.0), (0, 0, -1.0), points, triangles) is None
+
+
+def test_surface_tets_are_behind_their_triangles(fork):
+    assert len(fork.surface_tets) == len(fork.surface)
+    corners = fork.tets[fork.surface_tets]
+    for face, tet in zip(fork.surface[::50], corners[::50], strict=True):
+        assert np.isin(face, tet).all()
+
+
+@pytest.mark.parametrize("kinematics", ["corotational"])
+def test_other_kinematics_agree_for_small_motions(model, tip, kinematics):
+    if kinematics not in kinematics_of(model):
+        pytest.skip(f"no {kinematics} kinematics yet")
+    import dataclasses
+
+    other = Touching(dataclasses.replace(model, kinematics=kinematics))
+    same = Touching(model)
+    frames = []
+    for touching in (same, other):
+        touching.bear(Burden(gravity=0.01))
+        touching.hold(tip)
+        frames.append(touching.drag((1e-5, 0, -1e-5)))
+    assert frames[1].force == pytest.approx(frames[0].force, rel=1e-2)
