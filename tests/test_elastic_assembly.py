@@ -70,3 +70,19 @@ def test_pattern_is_every_pair_of_a_tet(mesh):
     row, column = np.divmod(pairs, n)
     assert (np.repeat(np.arange(n), np.diff(p.indptr)) == row).all()
     assert (p.indices == column).all()
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_work_of_tets_adds_up_to_the_stiffness(fork, order):
+    mesh = fork.with_order(order)
+    rng = np.random.default_rng(4)
+    mu, lam = rng.uniform(1, 2, (2, len(mesh.tets)))
+    u, v = rng.normal(size=(2, len(mesh.points), 3))
+    model = ps.ElasticModel(mesh, ps.Material.lame(mu, lam))
+    by_mu, by_lam = model.blocks.work(mesh.tets, u, v)
+    known = v.ravel() @ (model.stiffness @ u.ravel())
+    assert mu @ by_mu + lam @ by_lam == pytest.approx(known, rel=1e-10)
+    forces = model.blocks.forces(mesh.tets, u)
+    for ours, f in zip((by_mu, by_lam), forces, strict=True):
+        each = np.einsum("eai,eai->e", f, v[mesh.tets])
+        assert np.abs(ours - each).max() < 1e-12 * np.abs(each).max()

@@ -83,3 +83,36 @@ def test_pardiso_agrees_where_it_is_installed(fork, monkeypatch):
     assert state.stats.backend == "MKL PARDISO"
     error = np.linalg.norm(state.displacement - known.displacement)
     assert error < 1e-6 * np.linalg.norm(known.displacement)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_half_solves_give_the_compliance(fork, order):
+    model = ps.ElasticModel(fork.with_order(order), ps.Material(), solver="direct")
+    free, factor = model.base_factor()
+    rng = np.random.default_rng(0)
+    for count in (1, 7, 80):
+        rows = rng.choice(3 * len(free), count, replace=False)
+        unit = np.zeros((3 * len(free), count))
+        unit[rows, np.arange(count)] = 1.0
+        known = factor(unit)[0][rows]
+        S = factor.compliance(rows)
+        assert np.linalg.norm(S - known) <= 1e-8 * np.linalg.norm(known)
+        assert (S == S.T).all()
+        assert np.linalg.eigvalsh(S).min() > 0
+
+
+def test_compliance_is_vouched_for(fork, monkeypatch):
+    from plantsim.solve import half
+
+    model = ps.ElasticModel(fork.with_order(1), ps.Material())
+    right = half.Half.between
+    monkeypatch.setattr(half.Half, "between", lambda s, rows: 1.001 * right(s, rows))
+    with pytest.raises(ps.SolverError, match=r"two ways to the compliance are 1.0e-03"):
+        model.contact([50, 60, 70, 80])
+    # a factor too large to be copied gives the same by whole solves
+    monkeypatch.setattr(half, "MOST", 0)
+    whole = ps.ElasticModel(fork.with_order(1), ps.Material()).contact([50, 60, 70, 80])
+    monkeypatch.undo()
+    known = ps.ElasticModel(fork.with_order(1), ps.Material()).contact([50, 60, 70, 80])
+    apart = np.linalg.norm(whole.stiffness - known.stiffness)
+    assert apart < 1e-7 * np.linalg.norm(known.stiffness)

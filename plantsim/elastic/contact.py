@@ -4,8 +4,9 @@ With K factored once (base fixed) and unit columns E of the moved vertices' comp
 
     Y = K^-1 E,   S = E^T Y,   force = S^-1 d,   field = Y S^-1 d,
 
-so that a new displacement of the same vertices costs one small dense product. The columns Y
-of a vertex are kept by the model, so that it is solved for once.
+so that a new displacement of the same vertices costs one small dense product. S comes
+first, by half solves where there are more than two vertices; Y once a field is asked for.
+The columns of Y of a vertex are kept by the model.
 """
 
 import time
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 COLUMN_BYTES = 2**28  # memory for columns that a model keeps, least recently used out first
 BLOCK = 48  # columns at a time
+ALONE = 2  # vertices up to which whole columns cost no more than their compliance alone
 
 
 class Columns:
@@ -44,13 +46,7 @@ class Columns:
         """Return the columns as rows, (3k, 3n) [m/N], zero where the model is fixed."""
         free, factor = self._model.base_factor()
         n = len(self._model.mesh.points)
-        place = np.full(n, -1)
-        place[free] = np.arange(len(free))
-        if not len(ids) or (place[ids] < 0).any():
-            raise ModelError(
-                f"{int((place[ids] < 0).sum())} of {len(ids)} contact vertices are fixed. "
-                "Choose free vertices, at least one."
-            )
+        place = self._places(free, ids)
         out = np.empty((len(ids), 3, n, 3))
         new = []
         for i, v in enumerate(ids.tolist()):
@@ -61,7 +57,7 @@ class Columns:
                 new.append(i)
         for first in range(0, len(new), BLOCK // 3):
             some = new[first : first + BLOCK // 3]
-            rows = (3 * place[ids[some]][:, None] + np.arange(3)).ravel()
+            rows = (3 * place[some][:, None] + np.arange(3)).ravel()
             loads = np.zeros((3 * len(free), len(rows)), order="F")
             loads[rows, np.arange(len(rows))] = 1.0
             fields, _, _ = factor(loads)
@@ -70,6 +66,27 @@ class Columns:
                 out[i][:, free] = fields[:, 3 * j : 3 * j + 3].T.reshape(3, -1, 3)
                 self._keep(int(ids[i]), out[i])
         return out.reshape(3 * len(ids), 3 * n)
+
+    def between(self, ids: Array) -> Array:
+        """Return the compliance among vertices alone, S (3k, 3k) [m/N], symmetric."""
+        if self.missing(ids) <= ALONE:
+            rows = (3 * ids[:, None] + np.arange(3)).ravel()
+            S = self.of(ids)[:, rows]
+            return (S + S.T) / 2
+        free, factor = self._model.base_factor()
+        place = self._places(free, ids)
+        return factor.compliance((3 * place[:, None] + np.arange(3)).ravel())
+
+    def _places(self, free: Array, ids: Array) -> Array:
+        """Return where vertices are among the free ones; ModelError where they are not."""
+        place = np.full(len(self._model.mesh.points), -1)
+        place[free] = np.arange(len(free))
+        if not len(ids) or (place[ids] < 0).any():
+            raise ModelError(
+                f"{int((place[ids] < 0).sum())} of {len(ids)} contact vertices are fixed. "
+                "Choose free vertices, at least one."
+            )
+        return place[ids]
 
     def _keep(self, vertex: int, columns: Array) -> None:
         room = max(self._limit // columns.nbytes, 0)
@@ -86,15 +103,14 @@ class Contact:
     """
 
     def __init__(self, model: "ElasticModel", ids: Array, dtype: Any = np.float64) -> None:
-        """Solve for the compliance columns of vertices `ids` (k,) not known yet."""
+        """Solve for the compliance among vertices `ids` (k,)."""
         self.model, self.ids, self.dtype = model, ids, np.dtype(dtype)
         if self.dtype not in (np.float32, np.float64):
             raise ModelError(f"dtype {self.dtype}; give numpy.float64 or numpy.float32.")
-        self._columns = model.columns.of(ids)  # Y
         self._rows = (3 * ids[:, None] + np.arange(3)).ravel()
-        S = self._columns[:, self._rows]
+        S = model.columns.between(ids)
         try:
-            cholesky = scipy.linalg.cho_factor((S + S.T) / 2)
+            cholesky = scipy.linalg.cho_factor(S)
         except scipy.linalg.LinAlgError:
             raise ModelError(
                 f"the {len(ids)} contact vertices cannot be told apart numerically. Leave "
@@ -108,7 +124,7 @@ class Contact:
     @cached_property
     def _field(self) -> Array:
         """Field of each unit displacement, (3k, 3n)."""
-        field = self.stiffness @ self._columns
+        field = self.stiffness @ self.model.columns.of(self.ids)  # S^-1 Y
         field[:, self._rows] = np.eye(len(field))  # which it is, but for rounding
         return field.astype(self.dtype)
 

@@ -77,7 +77,7 @@ def equilibrium(model: "ElasticModel", loads: Iterable[Load]) -> Equilibrium:
     acting = gathered(model, loads)
     held = np.union1d(model.fixed_ids, acting.moved)
     if len(acting.moved) and not acting.holds and model.columns_pay(held, acting.moved):
-        u, (name, backend, unknowns, iterations, error) = _by_columns(model, acting)
+        u, (name, backend, unknowns, iterations, error) = _by_contact(model, acting)
         new = False
     else:
         u, (name, backend, unknowns, iterations, error), new = _by_factor(
@@ -126,15 +126,18 @@ def _by_factor(
     return u, (factor.name, factor.backend, 3 * len(free), iterations, worst), new
 
 
-def _by_columns(model: "ElasticModel", acting: Acting) -> tuple[Array, Evidence]:
-    """Return the displacement by compliance columns of the moved vertices."""
+def _by_contact(model: "ElasticModel", acting: Acting) -> tuple[Array, Evidence]:
+    """Return the displacement by the forces that the moved vertices ask for."""
     free, factor = model.base_factor()
     contact = Contact(model, acting.moved)
     goal = acting.displacement[acting.moved]
     u = np.zeros_like(acting.displacement)
+    short, f = goal, acting.force.copy()
     if acting.force.any():
         u[free] = factor(acting.force[free].ravel())[0].reshape(-1, 3)
-    u += contact.displacement(goal - u[acting.moved])
+        short = goal - u[acting.moved]
+    f[acting.moved] += contact.force(short)
+    u[free] = factor(f[free].ravel())[0].reshape(-1, 3)
     u[acting.moved] = goal
     error, unknowns = contact.evidence(u, acting.force)
     backend = f"{factor.backend}; compliance of {len(acting.moved)} vertices"

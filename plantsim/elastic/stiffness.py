@@ -76,6 +76,20 @@ class Blocks:
             mu[part] += np.einsum("eakbk->eab", H) @ ue
         return mu, lam
 
+    def work(self, tets: Array, u: Array, v: Array) -> tuple[Array, Array]:
+        """Return v . K u of each tet for mu = 1, for lam = 1, (m,) [m^3]; u, v (n, 3).
+
+        With v an adjoint field, the negative derivatives by each modulus.
+        """
+        if self.gradient.shape[1] == 4:  # the strain is the same all over a tet
+            Du, Dv = (self.gradient.transpose(0, 2, 1) @ x[tets] for x in (u, v))
+            shear = np.einsum("eij,eij->e", Du + Du.transpose(0, 2, 1), Dv)
+            spread = np.einsum("eii->e", Du) * np.einsum("eii->e", Dv)
+            return self.volume * shear, self.volume * spread
+        mu, lam = self.forces(tets, u)
+        ve = v[tets]
+        return np.einsum("eai,eai->e", mu, ve), np.einsum("eai,eai->e", lam, ve)
+
     def stiffness(self, mu: Array, lam: Array) -> csr_array:
         """Return K (3n, 3n) for moduli (m,) [Pa]."""
         # the block of a pair (a, b) is  lam H + mu (H^T + tr H I),  that of (b, a) its

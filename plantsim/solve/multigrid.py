@@ -88,6 +88,13 @@ class MultigridFactor:
         u, iterations, error = zip(*parts, strict=True)
         return np.column_stack(u), max(iterations), np.array(error)
 
+    def compliance(self, rows: Array) -> Array:
+        """Return K^-1 among some unknowns (k,), (k, k), by a solve for each."""
+        unit = np.zeros((self.K.shape[0], len(rows)), order="F")
+        unit[rows, np.arange(len(rows))] = 1.0
+        S = self(unit)[0][rows]
+        return (S + S.T) / 2
+
     def _one(self, f: Array) -> tuple[Array, int, Array]:
         if not f.any():
             return np.zeros_like(f), 0, np.zeros(())

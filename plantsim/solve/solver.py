@@ -31,6 +31,10 @@ class Factor(Protocol):
         """
         ...
 
+    def compliance(self, rows: Array) -> Array:
+        """Return K^-1 among some unknowns (k,), (k, k), symmetric."""
+        ...
+
 
 class Solver(Protocol):
     """Options of a method; a frozen value."""
