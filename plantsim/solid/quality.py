@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
-from plantsim.mesh.tetmesh import INNER, TetMesh, gamma, jacobians
+from plantsim.mesh.tetmesh import INNER, boundary, gamma, jacobians
 from plantsim.solid.sweep import Solid, Tube
 
 
@@ -63,27 +63,28 @@ def _move(
         points[v] += step[best]
 
 
-def curve(mesh: TetMesh, solid: Solid) -> tuple[Array, int]:
+def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
     """Return points with the surface's middles on the tubes, and the tets held back.
 
-    `mesh` of order 2, straight edges. An edge of the surface whose ends belong to one limb
+    Tets (m, 10) with straight edges. An edge of the surface whose ends belong to one limb
     has its middle moved radially to the mean of its ends' distances from the axis, in
     radii; edges within a flat end stay. Where a tet would fold, the middles of its edges go
     back by halves.
     """
-    points, tets = mesh.points, mesh.tets
-    faces, mids = mesh.surface[:, :3], mesh.surface[:, 3:]
-    side = ~flat_ends(solid, points)[faces].all(axis=1)
+    surface = boundary(tets)
+    corners, faces = np.unique(surface[:, :3], return_inverse=True)
+    faces, mids = faces.reshape(-1, 3), surface[:, 3:]
+    side = ~flat_ends(solid, points[corners])[faces].all(axis=1)
     ends = faces[side][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     middle, where = np.unique(mids[side], return_index=True)
     ends = ends[where]
-    limb, ratio, _, _ = on_axis(solid, points[ends].reshape(-1, 3))
-    limb, ratio = limb.reshape(-1, 2), ratio.reshape(-1, 2)
-    same = limb[:, 0] == limb[:, 1]
-    middle, ratio = middle[same], ratio[same].mean(axis=1)
-    _, now, foot, _ = on_axis(solid, points[middle], limb[same, 0])
+    limb, ratio, _, _ = on_axis(solid, points[corners])
+    same = limb[ends[:, 0]] == limb[ends[:, 1]]
+    middle, ends = middle[same], ends[same]
+    _, now, foot, _ = on_axis(solid, points[middle], limb[ends[:, 0]])
+    stretch = ratio[ends].mean(axis=1) / now
     target = points.copy()
-    target[middle] = foot + (points[middle] - foot) * (ratio / now)[:, None]
+    target[middle] = foot + (points[middle] - foot) * stretch[:, None]
     return _unfold(target, points, tets)
 
 
