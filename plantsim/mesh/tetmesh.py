@@ -309,10 +309,14 @@ def gamma(x: Array) -> Array:
     uv, uw, vw = _cross(u, v), _cross(u, w), _cross(v, w)
     volume = (uv * w).sum(axis=0) / 6
     faces = sum(_norm(n) for n in (uv, uw, vw, uv - uw + vw)) / 2
-    p, q, r = (_norm(a) * _norm(b) for a, b in ((u, v - w), (v, u - w), (w, u - v)))
+    sides = [(_norm(a), _norm(b)) for a, b in ((u, v - w), (v, u - w), (w, u - v))]
+    p, q, r = (a * b for a, b in sides)
     # 24 V R = sqrt of this product, for the circumradius R
     product = (p + q + r) * (-p + q + r) * (p - q + r) * (p + q - r)
-    root = np.sqrt(np.maximum(product, 0))
+    # where the corners are nearly on one circle the root is noise, but R is half the
+    # longest edge at least
+    longest = np.max([s for pair in sides for s in pair], axis=0)
+    root = np.maximum(np.sqrt(np.maximum(product, 0)), 12 * np.abs(volume) * longest)
     tiny = np.finfo(float).tiny
     return np.sign(volume) * 216 * volume**2 / np.maximum(root * faces, tiny)
 

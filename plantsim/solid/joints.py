@@ -14,7 +14,8 @@ from plantsim.solid.sweep import Solid, Tube
 
 NEAR = 0.25  # surface closer than this to another tube's counts as near [its radii]
 PAD = 0.5  # added at either end of a near stretch [radii]
-GAP = 1.2  # shorter free stretches are not worth a tube of their own [radii]
+GAP = 1.2  # shorter free stretches between two others are not worth a tube [radii]
+END = 0.4  # shorter free stretches at an end of a limb are not [radii]
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def _intervals(tube: Tube, near: Array) -> list[tuple[float, float]]:
             spans.append([a, b])
     out = []
     for a, b in spans:
-        start = 0.0 if a < GAP * r[0] else float(np.interp(a, s, u))
-        end = 1.0 if b > s[-1] - GAP * r[-1] else float(np.interp(b, s, u))
+        start = 0.0 if a < END * r[0] else float(np.interp(a, s, u))
+        end = 1.0 if b > s[-1] - END * r[-1] else float(np.interp(b, s, u))
         out.append((start, end))
     return out

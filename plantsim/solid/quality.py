@@ -141,16 +141,16 @@ def on_axis(
     owner = np.zeros(len(x), dtype=np.int64)
     ratio, foot, radius = np.full(len(x), np.inf), np.zeros((len(x), 3)), np.ones(len(x))
     samples = _samples(solid)
+    boxes = _Boxes(x) if limb is None else None
     for reach in (1.6, np.inf):  # in radii: who is in no limb's box is compared with all
         waiting = np.isinf(ratio)
         for i, (axis, tangent, r, slope) in enumerate(samples):
-            if limb is None:
-                low, high = axis.min(axis=0), axis.max(axis=0)
-                room = reach * r.max()
-                near = ((x >= low - room) & (x <= high + room)).all(axis=1)
-                rows = np.flatnonzero(waiting & near)
-            else:
+            if limb is not None:
                 rows = np.flatnonzero(waiting & (limb == i))
+            elif boxes is None or reach == np.inf:
+                rows = np.flatnonzero(waiting)
+            else:
+                rows = boxes.about(axis, reach * r)
             if not len(rows):
                 continue
             at = KDTree(axis).query(x[rows])[1]
@@ -166,6 +166,27 @@ def on_axis(
             owner[mine], ratio[mine] = i, far[won]
             foot[mine], radius[mine] = here[won], thick[won]
     return owner, ratio, foot, radius
+
+
+class _Boxes:
+    """Points sorted by height, to find those in a box."""
+
+    def __init__(self, x: Array) -> None:
+        self.order = np.argsort(x[:, 2], kind="stable")
+        self.columns = np.ascontiguousarray(x[self.order].T)
+
+    def about(self, axis: Array, room: Array) -> Array:
+        """Return the rows of the points in the boxes of eight parts of an axis."""
+        out = []
+        cuts = np.linspace(0, len(axis) - 1, 9 if len(axis) > 16 else 2).astype(int)
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            low = (axis[a : b + 1] - room[a : b + 1, None]).min(axis=0)
+            high = (axis[a : b + 1] + room[a : b + 1, None]).max(axis=0)
+            first, last = np.searchsorted(self.columns[2], (low[2], high[2]))
+            x, y = self.columns[:2, first:last]
+            inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+            out.append(self.order[first + np.flatnonzero(inside)])
+        return np.unique(np.concatenate(out))
 
 
 def _samples(solid: Solid) -> list[tuple[Array, Array, Array, Array]]:

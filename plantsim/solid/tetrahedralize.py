@@ -88,7 +88,10 @@ def tetrahedralize(
                 turn,
                 whole,
             )
-            points, tets = _timed(note, "fill", gmsh_model.fill, points, faces, algorithm)
+            flat = flat_ends(geometry, points)
+            points, tets = _timed(
+                note, "fill", gmsh_model.fill, points, faces, flat, algorithm
+            )
             return _finished(geometry, points, tets, order, report)
         except MeshError as why:
             note["failure"] = str(why)
