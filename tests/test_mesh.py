@@ -24,6 +24,15 @@ def test_gamma_of_the_regular_tet_is_one_and_of_a_flat_one_zero():
     assert gamma(regular) == pytest.approx(0, abs=1e-12)
 
 
+def test_gamma_of_four_corners_on_one_circle_is_zero():
+    # 24 V R is the root of zero there, and was taken for a huge quality
+    a = np.linspace(0, 2 * np.pi, 50)[:, None] + [0.0, 0.7, 2.3, 4.1]
+    flat = np.stack([np.cos(a), np.sin(a), 0 * a], axis=-1)
+    flat[:, 3, 2] = np.linspace(0, 1e-12, 50)
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    assert np.abs(gamma(flat @ turn)).max() < 1e-9
+
+
 def test_order_two_has_the_same_shape_and_sets_gain_middles(cube):
     fine = cube.with_order(2)
     assert fine.order == 2

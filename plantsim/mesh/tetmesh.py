@@ -150,12 +150,7 @@ class TetMesh:
     @cached_property
     def surface(self) -> Array:
         """Boundary triangles (k, 3 | 6), outward; corners, then middles of 01, 12, 20."""
-        first, count = self._faces
-        outer = np.sort(first[count == 1])
-        faces = self.tets[:, FACES].reshape(-1, 3)
-        if self.order == 1:
-            return faces[outer]
-        return np.hstack([faces, self.tets[:, FACE_MIDS].reshape(-1, 3)])[outer]
+        return boundary(self.tets, self._faces)
 
     @cached_property
     def surface_tets(self) -> Array:
@@ -237,21 +232,14 @@ class TetMesh:
             return self
         if order == 1:
             return self._compact(self.tets[:, :4])
-        ends = np.sort(self.tets[:, EDGES].reshape(-1, 2), axis=1)
-        key, where = np.unique(ends @ [len(self.points), 1], return_inverse=True)
-        edges = np.stack(np.divmod(key, len(self.points)), axis=1)
+        points, tets, edges = quadratic(self.points, self.tets)
         n = len(self.points)
         sets = {}
         for name, ids in self.sets.items():
             inside = np.zeros(n, dtype=bool)
             inside[ids] = True
             sets[name] = np.append(ids, n + np.flatnonzero(inside[edges].all(axis=1)))
-        return replace(
-            self,
-            points=np.vstack([self.points, self.points[edges].mean(axis=1)]),
-            tets=np.hstack([self.tets, n + where.reshape(-1, 6)]),
-            sets=sets,
-        )
+        return replace(self, points=points, tets=tets, sets=sets)
 
     def _compact(self, tets: Array) -> Self:
         points, tets, sets = compact(self.points, tets, self.sets)
@@ -283,6 +271,29 @@ _CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 INNER = 0.9 * np.vstack([_CORNERS, _CORNERS[EDGES].mean(axis=1)]) + 0.1 / 4
 
 
+def quadratic(points: Array, tets: Array) -> tuple[Array, Array, Array]:
+    """Return points and tets of order 2, edges straight, and the ends (k, 2) of each edge.
+
+    `tets` (m, 4). The middle of edge i is point len(points) + i.
+    """
+    n = len(points)
+    ends = np.sort(tets[:, EDGES].reshape(-1, 2), axis=1)
+    key, where = np.unique(ends @ [n, 1], return_inverse=True)
+    edges = np.stack(np.divmod(key, n), axis=1)
+    middles = points[edges].mean(axis=1)
+    return np.vstack([points, middles]), np.hstack([tets, n + where.reshape(-1, 6)]), edges
+
+
+def boundary(tets: Array, faces: tuple[Array, Array] | None = None) -> Array:
+    """Return the outer triangles (k, 3 | 6) of tets, outward, in the order of the tets."""
+    corners = tets[:, FACES].reshape(-1, 3)
+    first, count = faces or unique_rows(np.sort(corners, axis=1))
+    outer = np.sort(first[count == 1])
+    if tets.shape[1] == 4:
+        return corners[outer]
+    return np.hstack([corners[outer], tets[:, FACE_MIDS].reshape(-1, 3)[outer]])
+
+
 def compact(
     points: Array, tets: Array, sets: Mapping[str, Array]
 ) -> tuple[Array, Array, dict[str, Array]]:
@@ -299,29 +310,42 @@ def gamma(x: Array) -> Array:
 
     This is gmsh's quality measure "gamma".
     """
-    a, b, c, d = (x[..., i, :] for i in range(4))
-    norm = np.linalg.norm
-
-    def area(p: Array, q: Array, r: Array) -> Array:
-        return norm(np.cross(q - p, r - p), axis=-1) / 2
-
-    volume = (np.cross(b - a, c - a) * (d - a)).sum(-1) / 6
-    faces = area(a, b, c) + area(a, b, d) + area(a, c, d) + area(b, c, d)
-    p = norm(b - a, axis=-1) * norm(c - d, axis=-1)
-    q = norm(c - a, axis=-1) * norm(b - d, axis=-1)
-    r = norm(d - a, axis=-1) * norm(b - c, axis=-1)
+    corners = np.ascontiguousarray(np.moveaxis(x, (-2, -1), (0, 1)))
+    u, v, w = corners[1:] - corners[0]
+    uv, uw, vw = _cross(u, v), _cross(u, w), _cross(v, w)
+    volume = (uv * w).sum(axis=0) / 6
+    faces = sum(_norm(n) for n in (uv, uw, vw, uv - uw + vw)) / 2
+    sides = [(_norm(a), _norm(b)) for a, b in ((u, v - w), (v, u - w), (w, u - v))]
+    p, q, r = (a * b for a, b in sides)
     # 24 V R = sqrt of this product, for the circumradius R
     product = (p + q + r) * (-p + q + r) * (p - q + r) * (p + q - r)
-    root = np.sqrt(np.maximum(product, 0))
+    # where the corners are nearly on one circle the root is noise, but R is half the
+    # longest edge at least
+    longest = np.max([s for pair in sides for s in pair], axis=0)
+    root = np.maximum(np.sqrt(np.maximum(product, 0)), 12 * np.abs(volume) * longest)
     tiny = np.finfo(float).tiny
     return np.sign(volume) * 216 * volume**2 / np.maximum(root * faces, tiny)
 
 
+def _cross(a: Array, b: Array) -> Array:
+    """Return cross products of vectors (3, ...) by components."""
+    return np.stack([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
+
+
+def _norm(a: Array) -> Array:
+    return np.sqrt((a**2).sum(axis=0))
+
+
 def jacobians(points: Array, tets: Array, at: Array) -> Array:
     """Return det J (m, k) of quadratic tets at reference points (k, 3)."""
-    shape = _gradients(at).transpose(0, 2, 1).reshape(-1, 10)  # (k 3, 10)
-    J = (shape @ points[tets].transpose(1, 0, 2).reshape(10, -1)).reshape(len(at), 3, -1, 3)
-    return (np.cross(J[:, 0], J[:, 1]) * J[:, 2]).sum(axis=-1).T
+    shape = _gradients(at).transpose(2, 0, 1).reshape(-1, 10)  # (3 k, 10)
+    x, y, z = (
+        (shape @ points[:, axis][tets.T]).reshape(3, len(at), -1) for axis in range(3)
+    )
+    J = x[0] * (y[1] * z[2] - y[2] * z[1])
+    J += x[1] * (y[2] * z[0] - y[0] * z[2])
+    J += x[2] * (y[0] * z[1] - y[1] * z[0])
+    return J.T
 
 
 def _gradients(at: Array) -> Array:

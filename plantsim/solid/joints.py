@@ -9,11 +9,13 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from plantsim.arrays import Array
+from plantsim.solid.rings import square
 from plantsim.solid.sweep import Solid, Tube
 
-NEAR = 1.15  # axes closer than this share of the sum of their radii count as near
-PAD = 0.75  # added at either end of a near stretch [radii]
-GAP = 2.5  # shorter free stretches are not worth a tube of their own [radii]
+NEAR = 0.25  # surface closer than this to another tube's counts as near [its radii]
+PAD = 0.5  # added at either end of a near stretch [radii]
+GAP = 1.2  # shorter free stretches between two others are not worth a tube [radii]
+END = 0.4  # shorter free stretches at an end of a limb are not [radii]
 
 
 @dataclass(frozen=True)
@@ -43,35 +45,47 @@ def stretches(solid: Solid) -> list[Stretch]:
 
 
 def _near(solid: Solid) -> list[Array]:
-    """Mask of each tube's stations that are near the axis of another tube."""
+    """Mask of each tube's stations at which its surface comes near another tube's."""
     axis = [t.axis(t.stations) for t in solid.tubes]
     radius = [t.radius(t.stations) for t in solid.tubes]
+    tangent = [t.tangent(t.stations) for t in solid.tubes]
     near = [np.zeros(len(r), dtype=bool) for r in radius]
-    low = np.array(
-        [(x - NEAR * r[:, None]).min(axis=0) for x, r in zip(axis, radius, strict=True)]
-    )
-    high = np.array(
-        [(x + NEAR * r[:, None]).max(axis=0) for x, r in zip(axis, radius, strict=True)]
-    )
-    meet = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+    reach = [(1 + NEAR) * r[:, None] for r in radius]
+    low = [x - d for x, d in zip(axis, reach, strict=True)]
+    high = [x + d for x, d in zip(axis, reach, strict=True)]
+    least = np.array([x.min(axis=0) for x in low])
+    most = np.array([x.max(axis=0) for x in high])
+    meet = ((least[:, None] <= most[None]) & (least[None] <= most[:, None])).all(axis=2)
     for i, j in np.argwhere(np.triu(meet, 1)):
         # only stations within the other's box can be near it
         a, b = (
-            np.flatnonzero(
-                (
-                    (axis[p] + NEAR * radius[p][:, None] >= low[q])
-                    & (axis[p] - NEAR * radius[p][:, None] <= high[q])
-                ).all(axis=1)
-            )
+            np.flatnonzero(((high[p] >= least[q]) & (low[p] <= most[q])).all(axis=1))
             for p, q in ((i, j), (j, i))
         )
-        if len(a) and len(b):
-            close = cdist(axis[i][a], axis[j][b]) < NEAR * (
-                radius[i][a][:, None] + radius[j][b][None]
-            )
-            near[i][a[close.any(axis=1)]] = True
-            near[j][b[close.any(axis=0)]] = True
+        if not (len(a) and len(b)):
+            continue
+        apart = cdist(axis[i][a], axis[j][b])
+        if (apart > (1 + NEAR) * (radius[i][a][:, None] + radius[j][b][None])).all():
+            continue
+        for p, q, mine, others in ((i, j, a, b), (j, i, b, a)):
+            rings = _circles(axis[p][mine], tangent[p][mine], radius[p][mine])
+            away = cdist(rings.reshape(-1, 3), axis[q][others])
+            away = (away / radius[q][others]).reshape(len(mine), -1, len(others))
+            at = away.argmin(axis=2)
+            share = np.take_along_axis(away, at[:, :, None], axis=2)[:, :, 0]
+            near[p][mine[(share < 1 + NEAR).any(axis=1)]] = True
+            # the other has to reach as far as this one is buried in it
+            near[q][others[np.unique(at[share < 1 + NEAR])]] = True
     return near
+
+
+def _circles(x: Array, t: Array, r: Array) -> Array:
+    """Return eight points (k, 8, 3) on each of k circles about axis points x."""
+    a = np.arange(8) * np.pi / 4
+    n = square(t)
+    b = np.cross(t, n)
+    spoke = np.cos(a)[:, None] * n[:, None] + np.sin(a)[:, None] * b[:, None]
+    return x[:, None] + r[:, None, None] * spoke
 
 
 def _intervals(tube: Tube, near: Array) -> list[tuple[float, float]]:
@@ -89,7 +103,7 @@ def _intervals(tube: Tube, near: Array) -> list[tuple[float, float]]:
             spans.append([a, b])
     out = []
     for a, b in spans:
-        start = 0.0 if a < GAP * r[0] else float(np.interp(a, s, u))
-        end = 1.0 if b > s[-1] - GAP * r[-1] else float(np.interp(b, s, u))
+        start = 0.0 if a < END * r[0] else float(np.interp(a, s, u))
+        end = 1.0 if b > s[-1] - END * r[-1] else float(np.interp(b, s, u))
         out.append((start, end))
     return out

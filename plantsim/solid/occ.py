@@ -72,7 +72,7 @@ def _rings(
     at = 0
     for cut, part in zip(cuts, us, strict=True):
         if cut.joint and len(part) == 2:
-            _as_cylinder(x, t, n, r, at)
+            _straight(x, t, n, r, at)
         at += len(part) - 1
     out, at = [], 0
     for part in us:
@@ -84,11 +84,10 @@ def _rings(
     return out
 
 
-def _as_cylinder(x: Array, t: Array, n: Array, r: Array, i: int) -> None:
-    """Make rings i and i + 1 the ends of a cylinder, which joins twice as fast."""
-    if abs(r[i + 1] / r[i] - 1) > EVEN:
-        return
-    r[i : i + 2] = r[i : i + 2].mean()
+def _straight(x: Array, t: Array, n: Array, r: Array, i: int) -> None:
+    """Make rings i and i + 1 the ends of a cylinder or cone, which joins twice as fast."""
+    if abs(r[i + 1] / r[i] - 1) < EVEN:
+        r[i : i + 2] = r[i : i + 2].mean()
     way = x[i + 1] - x[i]
     t[i : i + 2] = way / np.linalg.norm(way)
     # the same direction at both ends, square to the axis

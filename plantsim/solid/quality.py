@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
-from plantsim.mesh.tetmesh import INNER, TetMesh, gamma, jacobians
+from plantsim.mesh.tetmesh import INNER, boundary, gamma, jacobians
 from plantsim.solid.sweep import Solid, Tube
 
 
@@ -63,27 +63,28 @@ def _move(
         points[v] += step[best]
 
 
-def curve(mesh: TetMesh, solid: Solid) -> tuple[Array, int]:
+def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
     """Return points with the surface's middles on the tubes, and the tets held back.
 
-    `mesh` of order 2, straight edges. An edge of the surface whose ends belong to one limb
+    Tets (m, 10) with straight edges. An edge of the surface whose ends belong to one limb
     has its middle moved radially to the mean of its ends' distances from the axis, in
     radii; edges within a flat end stay. Where a tet would fold, the middles of its edges go
     back by halves.
     """
-    points, tets = mesh.points, mesh.tets
-    faces, mids = mesh.surface[:, :3], mesh.surface[:, 3:]
-    side = ~flat_ends(solid, points)[faces].all(axis=1)
+    surface = boundary(tets)
+    corners, faces = np.unique(surface[:, :3], return_inverse=True)
+    faces, mids = faces.reshape(-1, 3), surface[:, 3:]
+    side = ~flat_ends(solid, points[corners])[faces].all(axis=1)
     ends = faces[side][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     middle, where = np.unique(mids[side], return_index=True)
     ends = ends[where]
-    limb, ratio, _, _ = on_axis(solid, points[ends].reshape(-1, 3))
-    limb, ratio = limb.reshape(-1, 2), ratio.reshape(-1, 2)
-    same = limb[:, 0] == limb[:, 1]
-    middle, ratio = middle[same], ratio[same].mean(axis=1)
-    _, now, foot, _ = on_axis(solid, points[middle], limb[same, 0])
+    limb, ratio, _, _ = on_axis(solid, points[corners])
+    same = limb[ends[:, 0]] == limb[ends[:, 1]]
+    middle, ends = middle[same], ends[same]
+    _, now, foot, _ = on_axis(solid, points[middle], limb[ends[:, 0]])
+    stretch = ratio[ends].mean(axis=1) / now
     target = points.copy()
-    target[middle] = foot + (points[middle] - foot) * (ratio / now)[:, None]
+    target[middle] = foot + (points[middle] - foot) * stretch[:, None]
     return _unfold(target, points, tets)
 
 
@@ -140,16 +141,16 @@ def on_axis(
     owner = np.zeros(len(x), dtype=np.int64)
     ratio, foot, radius = np.full(len(x), np.inf), np.zeros((len(x), 3)), np.ones(len(x))
     samples = _samples(solid)
+    boxes = _Boxes(x) if limb is None else None
     for reach in (1.6, np.inf):  # in radii: who is in no limb's box is compared with all
         waiting = np.isinf(ratio)
         for i, (axis, tangent, r, slope) in enumerate(samples):
-            if limb is None:
-                low, high = axis.min(axis=0), axis.max(axis=0)
-                room = reach * r.max()
-                near = ((x >= low - room) & (x <= high + room)).all(axis=1)
-                rows = np.flatnonzero(waiting & near)
-            else:
+            if limb is not None:
                 rows = np.flatnonzero(waiting & (limb == i))
+            elif boxes is None or reach == np.inf:
+                rows = np.flatnonzero(waiting)
+            else:
+                rows = boxes.about(axis, reach * r)
             if not len(rows):
                 continue
             at = KDTree(axis).query(x[rows])[1]
@@ -165,6 +166,27 @@ def on_axis(
             owner[mine], ratio[mine] = i, far[won]
             foot[mine], radius[mine] = here[won], thick[won]
     return owner, ratio, foot, radius
+
+
+class _Boxes:
+    """Points sorted by height, to find those in a box."""
+
+    def __init__(self, x: Array) -> None:
+        self.order = np.argsort(x[:, 2], kind="stable")
+        self.columns = np.ascontiguousarray(x[self.order].T)
+
+    def about(self, axis: Array, room: Array) -> Array:
+        """Return the rows of the points in the boxes of eight parts of an axis."""
+        out = []
+        cuts = np.linspace(0, len(axis) - 1, 9 if len(axis) > 16 else 2).astype(int)
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            low = (axis[a : b + 1] - room[a : b + 1, None]).min(axis=0)
+            high = (axis[a : b + 1] + room[a : b + 1, None]).max(axis=0)
+            first, last = np.searchsorted(self.columns[2], (low[2], high[2]))
+            x, y = self.columns[:2, first:last]
+            inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+            out.append(self.order[first + np.flatnonzero(inside)])
+        return np.unique(np.concatenate(out))
 
 
 def _samples(solid: Solid) -> list[tuple[Array, Array, Array, Array]]:

@@ -61,20 +61,25 @@ def frames(tube: Tube, u: Array, seam: float = 0.0) -> tuple[Array, Array, Array
     2008, Computation of rotation minimizing frames, double reflection.
     """
     x, t = tube.axis(u), tube.tangent(u)
-    across = np.eye(3)[np.abs(t[0]).argmin()]
-    n = np.cross(t[0], across)
-    normals = [n / np.linalg.norm(n)]
+    N = np.empty_like(t)
+    N[0] = square(t[0])
+    v1 = np.diff(x, axis=0)
+    c1 = (v1**2).sum(axis=1)
+    s = t[:-1] - (2 / c1 * (v1 * t[:-1]).sum(axis=1))[:, None] * v1
+    v2 = t[1:] - s
+    c2 = (v2**2).sum(axis=1)
     for i in range(len(u) - 1):
-        v1 = x[i + 1] - x[i]
-        r = normals[i] - 2 / (v1 @ v1) * (v1 @ normals[i]) * v1
-        s = t[i] - 2 / (v1 @ v1) * (v1 @ t[i]) * v1
-        v2 = t[i + 1] - s
-        c = v2 @ v2
-        n = r - 2 / c * (v2 @ r) * v2 if c > 1e-30 else r
+        r = N[i] - 2 / c1[i] * (v1[i] @ N[i]) * v1[i]
+        n = r - 2 / c2[i] * (v2[i] @ r) * v2[i] if c2[i] > 1e-30 else r
         n = n - (n @ t[i + 1]) * t[i + 1]
-        normals.append(n / np.linalg.norm(n))
-    N = np.array(normals)
+        N[i + 1] = n / (n @ n) ** 0.5
     return x, t, np.cos(seam) * N + np.sin(seam) * np.cross(t, N)
+
+
+def square(t: Array) -> Array:
+    """Return unit vectors square to unit vectors t, (..., 3), any."""
+    n = np.cross(t, np.eye(3)[np.abs(t).argmin(axis=-1)])
+    return n / np.linalg.norm(n, axis=-1, keepdims=True)
 
 
 def dome(ring: Ring) -> list[Ring]:
@@ -96,30 +101,38 @@ def skin(
     turned = [(i % 2) / 2 for i in range(len(rings))]
     if even:
         turned[-1] = 0.0
-    points = []
-    for (x, r, t, n), half in zip(rings, turned, strict=True):
-        a = (np.arange(count) + half) * step
-        b = np.cross(t, n)
-        points.append(x + r * (np.cos(a)[:, None] * n + np.sin(a)[:, None] * b))
+    x, r, t, n = (np.array([ring[i] for ring in rings]) for i in range(4))
+    a = (np.arange(count) + np.array(turned)[:, None]) * step
+    b = np.cross(t, n)[:, None]
+    spoke = np.cos(a)[:, :, None] * n[:, None] + np.sin(a)[:, :, None] * b
+    points = [(x[:, None] + r[:, None, None] * spoke).reshape(-1, 3)]
     j = np.arange(count)
     k = (j + 1) % count
-    faces = []
-    for i in range(len(rings) - 1):
-        a, b = i * count, (i + 1) * count
-        if turned[i] > turned[i + 1]:  # the lower ring is ahead by half a step
-            faces += [(a + j, b + k, b + j), (a + j, a + k, b + k)]
-        else:
-            faces += [(a + j, a + k, b + j), (a + k, b + k, b + j)]
+    low = count * np.arange(len(rings) - 1)[:, None]
+    aj, ak, bj, bk = (low + v for v in (j, k, count + j, count + k))
+    # the lower ring is ahead by half a step, or not
+    ahead = (np.array(turned[:-1]) > np.array(turned[1:]))[:, None]
+    faces = [
+        tuple(v.ravel() for v in (aj, np.where(ahead, bk, ak), bj)),
+        tuple(
+            v.ravel()
+            for v in (
+                np.where(ahead, aj, ak),
+                np.where(ahead, ak, bk),
+                np.where(ahead, bk, bj),
+            )
+        ),
+    ]
     total = len(rings) * count
     for end, kind in ((0, first), (-1, last)):
         if kind == "open":
             continue
-        x, r, t, _ = rings[end]
+        centre, r, t, _ = rings[end]
         # the apex lies on the sphere of the tip: the dome's last ring is at latitude DOME
         ahead = r / np.cos(DOME[-1]) * (1 - np.sin(DOME[-1])) if kind == "apex" else 0.0
-        points.append((x + ahead * t)[None])
+        points.append((centre + ahead * t)[None])
         ring = (len(rings) - 1) * count if end else 0
-        centre = np.full(count, total)
+        hub = np.full(count, total)
         total += 1
-        faces.append((centre, ring + j, ring + k) if end else (centre, ring + k, ring + j))
+        faces.append((hub, ring + j, ring + k) if end else (hub, ring + k, ring + j))
     return np.concatenate(points), np.concatenate([np.stack(f, axis=1) for f in faces])

@@ -4,7 +4,6 @@ import logging
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.errors import MeshError
-from plantsim.mesh.tetmesh import TetMesh
+from plantsim.mesh.tetmesh import TetMesh, quadratic
 from plantsim.paths import existing
 from plantsim.solid import gmsh_model, occ
 from plantsim.solid.foreign import open_geometry
@@ -69,6 +68,7 @@ def tetrahedralize(
         path = existing(geometry)
         return _from_file(path, 1.0 if size is None else size, order, trust, timeout)
     attempts: list[dict[str, Any]] = []
+    report: dict[str, Any] = {"kernel": kernel, "attempts": attempts}
     around = AROUND if size is None else max(4, round(2 * np.pi / size))
     for algorithm, turn, whole in LADDER:
         note: dict[str, Any] = {
@@ -88,13 +88,14 @@ def tetrahedralize(
                 turn,
                 whole,
             )
-            points, tets = _timed(note, "fill", gmsh_model.fill, points, faces, algorithm)
-            mesh = _finished(geometry, points, tets, order, note)
+            flat = flat_ends(geometry, points)
+            points, tets = _timed(
+                note, "fill", gmsh_model.fill, points, faces, flat, algorithm
+            )
+            return _finished(geometry, points, tets, order, report)
         except MeshError as why:
             note["failure"] = str(why)
             log.info("meshing attempt %d failed: %s", len(attempts), why)
-            continue
-        return replace(mesh, report={"kernel": kernel, "attempts": attempts})
     raise MeshError(
         f"no attempt of {len(LADDER)} gave a sound mesh of {len(geometry.tubes)} limbs; "
         f"the last said: {attempts[-1]['failure']} Prune limbs that graze others, or try "
@@ -121,25 +122,22 @@ def _timed(note: dict[str, Any], step: str, act: Callable[..., Any], *args: Any)
 
 
 def _finished(
-    solid: Solid, points: Array, tets: Array, order: int, note: dict[str, Any]
+    solid: Solid, points: Array, tets: Array, order: int, report: dict[str, Any]
 ) -> TetMesh:
     """Return the mesh repaired, labelled, curved and checked."""
+    note = report["attempts"][-1]
     points, note["slivers"], note["slivers_left"] = _timed(
         note, "repair", repair, points, tets, flat_ends(solid, points)
     )
     region = _timed(note, "label", on_axis, solid, points[tets].mean(axis=1))[0]
     by_limb = np.argsort(region, kind="stable")
-    mesh = TetMesh(
-        points,
-        tets[by_limb],
-        region[by_limb],
-        {"base": _foot(solid, points)},
-        tuple(t.name for t in solid.tubes),
-    )
+    region, tets = region[by_limb], tets[by_limb]
     if order == 2:
-        mesh = mesh.with_order(2)
-        points, note["flattened"] = _timed(note, "curve", curve, mesh, solid)
-        mesh = replace(mesh, points=points)
+        points, tets, _ = quadratic(points, tets)
+        points, note["flattened"] = _timed(note, "curve", curve, points, tets, solid)
+    names = tuple(t.name for t in solid.tubes)
+    base = {"base": _foot(solid, points)}
+    mesh = _timed(note, "check", TetMesh, points, tets, region, base, names, report)
     _check_whole(solid, mesh)
     return mesh
 
