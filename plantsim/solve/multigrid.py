@@ -92,7 +92,7 @@ class MultigridFactor:
         """Return K^-1 among some unknowns (k,), (k, k), by a solve for each."""
         unit = np.zeros((self.K.shape[0], len(rows)), order="F")
         unit[rows, np.arange(len(rows))] = 1.0
-        S = self(unit)[0][rows]
+        S = np.asarray(self(unit)[0])[rows]
         return (S + S.T) / 2
 
     def _one(self, f: Array) -> tuple[Array, int, Array]:
