@@ -85,7 +85,11 @@ def main(most: float, solvers: tuple[str, ...]) -> None:
                 command = [sys.executable, __file__, "--one", str(file), solver]
                 try:
                     done = subprocess.run(
-                        command, capture_output=True, text=True, timeout=TIME_LIMIT
+                        command,
+                        capture_output=True,
+                        text=True,
+                        check=False,
+                        timeout=TIME_LIMIT,
                     )
                 except subprocess.TimeoutExpired:
                     print(f"| {count:,} | {order} | {solver} | over {TIME_LIMIT} |||||")

@@ -153,9 +153,9 @@ class TetMesh:
 
     @cached_property
     def _face_order(self) -> tuple[Array, Array]:
-        """Faces in the order of their vertices, and a mask of those that differ from the last.
+        """Faces (tet times four and number) by their vertices; which differ from the last.
 
-        A face is counted as tet times four and its number.
+        Both (4 m,).
         """
         a, b, c = self.tets[:, FACES].reshape(-1, 3).T
         low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
