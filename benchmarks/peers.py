@@ -1,12 +1,20 @@
 """The reference problem in plantsim and in other packages, side by side.
 
-    python -m venv peers && peers/bin/pip install . sfepy felupe torch-fem
-    peers/bin/python benchmarks/peers.py mesh.npz [--repeat 5]
+    python -m venv peers && peers/bin/pip install . sfepy felupe torch-fem ngsolve
+    OMP_NUM_THREADS=1 peers/bin/python benchmarks/peers.py mesh.npz [--repeat 5]
 
 Same mesh and material (mu = 7, lam = 6), order 1; the lowest 10 % fixed, ten vertices moved
-down together. Medians in ms, the packages in turn and the turn reversed every other round:
-set-up (mesh to K, or what comes next to it), the first static solve, the same vertices
-moved otherwise, ten other vertices. A package that is not installed is left out.
+down together. Medians of CPU time in ms, the packages in turn and the turn reversed every
+other round: set-up (mesh to K), the first static solve, both together, the same vertices
+moved otherwise, ten other vertices; then the gradient of a scalar misfit of the field,
+|u - u*|^2 / 2, in mu and lam of every tet: with all that is kept of the solve, and of a
+material just given. Ours and NGSolve's by an adjoint, torch-fem's by its autograd; felupe
+and sfepy have none. A package that is not installed is left out. sfepy and torch-fem make
+K within each solve, so their set-up is without it: compare set-up and solve together.
+
+Each package is used as its manual says, with what it can keep: NGSolve keeps its sparse
+Cholesky factor of the moved set. torch-fem goes by its direct solver, which its default, at
+this size conjugate gradients, is far behind.
 """
 
 import argparse
@@ -24,7 +32,15 @@ import plantsim as ps
 
 MU, LAM = 7.0, 6.0
 YOUNG, POISSON = MU * (3 * LAM + 2 * MU) / (LAM + MU), LAM / (2 * (LAM + MU))
-STAGES = ("set-up", "static solve", "same vertices again", "ten other vertices")
+STAGES = (
+    "set-up",
+    "static solve",
+    "both",
+    "same vertices again",
+    "ten other vertices",
+    "gradient, factor kept",
+    "gradient, new material",
+)
 Solve = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -39,6 +55,7 @@ class Ours:
         self.contact: Any = None
 
     def first(self, ids: np.ndarray, d: np.ndarray) -> np.ndarray:
+        self.latest = ids
         return self.model.solve(ps.move(ids, d)).displacement
 
     def prepare(self, ids: np.ndarray) -> None:
@@ -52,6 +69,27 @@ class Ours:
 
     def other(self, ids: np.ndarray, d: np.ndarray) -> np.ndarray:
         return self.model.solve(ps.move(ids, d)).displacement
+
+    def gradient(self, ids: np.ndarray, d: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Return d misfit / d (mu, lam), (2, m); the factor of `ids` is the model's."""
+        return self._gradient(self.model, ids, d, goal)
+
+    def afresh(
+        self, lame: np.ndarray, ids: np.ndarray, d: np.ndarray, goal: np.ndarray
+    ) -> np.ndarray:
+        """Return the same of a material (2, m) [Pa] not met before."""
+        model = self.model.with_material(ps.Material.lame(*lame))
+        return self._gradient(model, ids, d, goal)
+
+    @staticmethod
+    def _gradient(
+        model: ps.ElasticModel, ids: np.ndarray, d: np.ndarray, goal: np.ndarray
+    ) -> np.ndarray:
+        u = model.solve(ps.move(ids, d)).displacement
+        free, factor, _ = model.factor(np.union1d(model.fixed_ids, ids))
+        adjoint = np.zeros_like(u)
+        adjoint[free] = factor((u - goal)[free].ravel())[0].reshape(-1, 3)
+        return -np.stack(model.blocks.work(model.mesh.tets, u, adjoint))
 
 
 class Felupe:
@@ -96,19 +134,134 @@ class TorchFem:
 
         torch.set_default_dtype(torch.float64)
         self.torch, self.fixed = torch, fixed
+        self.material = IsotropicElasticity3D
         material = IsotropicElasticity3D(E=YOUNG, nu=POISSON)
-        self.solid = torchfem.Solid(torch.tensor(points), torch.tensor(tets), material)
+        self.make = torchfem.Solid
+        self.nodes, self.elements = torch.tensor(points), torch.tensor(tets)
+        self.solid = self.make(self.nodes, self.elements, material)
 
     def first(self, ids: np.ndarray, d: np.ndarray) -> np.ndarray:
-        torch, solid = self.torch, self.solid
+        return self._solve(self.solid, ids, d).detach().numpy().reshape(-1, 3)
+
+    def _solve(self, solid: Any, ids: np.ndarray, d: np.ndarray, *lame: Any) -> Any:
+        torch = self.torch
         held = torch.zeros_like(solid.constraints)
         held[torch.tensor(np.append(self.fixed, ids))] = True
         goal = torch.zeros_like(solid.displacements)
         goal[torch.tensor(ids)] = torch.tensor(d)
         solid.constraints, solid.displacements = held, goal
-        return solid.solve(verbose=False)[0].detach().numpy().reshape(-1, 3)
+        return solid.solve(method="direct", differentiable_parameters=lame)[0]
 
     again = other = first
+
+    def afresh(
+        self, lame: np.ndarray, ids: np.ndarray, d: np.ndarray, goal: np.ndarray
+    ) -> np.ndarray:
+        torch = self.torch
+        mu, lam = (torch.tensor(x, requires_grad=True) for x in lame)
+        young, poisson = mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu))
+        solid = self.make(self.nodes, self.elements, self.material(E=young, nu=poisson))
+        u = self._solve(solid, ids, d, mu, lam)
+        misfit = ((u - torch.tensor(goal)) ** 2).sum() / 2
+        return np.stack([g.numpy() for g in torch.autograd.grad(misfit, (mu, lam))])
+
+    def gradient(self, ids: np.ndarray, d: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Return the same of the material at hand; no factor is kept."""
+        lame = np.repeat([[MU], [LAM]], len(self.elements), axis=1)
+        return self.afresh(lame, ids, d, goal)
+
+
+class NGSolve:
+    """VectorH1, its own sparse Cholesky factor; moduli as elementwise constants."""
+
+    def __init__(self, points: np.ndarray, tets: np.ndarray, fixed: np.ndarray) -> None:
+        import netgen.meshing
+        import ngsolve as ng
+
+        self.ng, self.fixed, self.n = ng, fixed, len(points)
+        raw = netgen.meshing.Mesh(3)
+        raw.AddPoints(points)
+        raw.AddElements(dim=3, index=1, data=tets.astype(np.int32), base=0)
+        self.mesh = ng.Mesh(raw)
+        self.space = ng.VectorH1(self.mesh, order=1)
+        self.flat = ng.L2(self.mesh, order=0)
+        self.form = self._assembled(MU, LAM)
+        self.kept: Any = None
+
+    def _strain(self, u: Any) -> Any:
+        return (self.ng.Grad(u) + self.ng.Grad(u).trans) / 2
+
+    def _assembled(self, mu: Any, lam: Any) -> Any:
+        ng = self.ng
+        u, v = self.space.TnT()
+        form = ng.BilinearForm(self.space, symmetric=False)
+        shear = 2 * mu * ng.InnerProduct(self._strain(u), self._strain(v))
+        form += (shear + lam * ng.div(u) * ng.div(v)) * ng.dx
+        form.Assemble()
+        return form
+
+    def _field(self, vector: Any) -> np.ndarray:
+        return vector.FV().NumPy().reshape(3, self.n).T
+
+    def _factor(self, form: Any, ids: np.ndarray) -> Any:
+        free = self.ng.BitArray(self.space.ndof)
+        free.Set()
+        for i in np.append(self.fixed, ids).tolist():
+            for k in range(3):
+                free.Clear(i + k * self.n)
+        return form.mat.Inverse(free, "sparsecholesky")
+
+    def _solved(self, form: Any, inverse: Any, ids: np.ndarray, d: np.ndarray) -> Any:
+        u = self.ng.GridFunction(self.space)
+        self._field(u.vec)[ids] = d
+        u.vec.data -= inverse * (form.mat * u.vec).Evaluate()
+        return u
+
+    def first(self, ids: np.ndarray, d: np.ndarray) -> np.ndarray:
+        self.kept = ids, self._factor(self.form, ids)
+        return self.again(ids, d)
+
+    def again(self, ids: np.ndarray, d: np.ndarray) -> np.ndarray:
+        assert (self.kept[0] == ids).all()
+        return self._field(self._solved(self.form, self.kept[1], ids, d).vec).copy()
+
+    def other(self, ids: np.ndarray, d: np.ndarray) -> np.ndarray:
+        return self._field(
+            self._solved(self.form, self._factor(self.form, ids), ids, d).vec
+        ).copy()
+
+    def gradient(self, ids: np.ndarray, d: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        assert (self.kept[0] == ids).all()
+        return self._gradient(self.form, self.kept[1], ids, d, goal)
+
+    def afresh(
+        self, lame: np.ndarray, ids: np.ndarray, d: np.ndarray, goal: np.ndarray
+    ) -> np.ndarray:
+        moduli = [self.ng.GridFunction(self.flat) for _ in lame]
+        for field, values in zip(moduli, lame, strict=True):
+            field.vec.FV().NumPy()[:] = values
+        form = self._assembled(*moduli)
+        return self._gradient(form, self._factor(form, ids), ids, d, goal)
+
+    def _gradient(
+        self, form: Any, inverse: Any, ids: np.ndarray, d: np.ndarray, goal: np.ndarray
+    ) -> np.ndarray:
+        ng = self.ng
+        u = self._solved(form, inverse, ids, d)
+        off, adjoint = u.vec.CreateVector(), ng.GridFunction(self.space)
+        self._field(off)[:] = self._field(u.vec) - goal
+        adjoint.vec.data = inverse * off
+        q = self.flat.TestFunction()
+        out = []
+        for by in (
+            2 * ng.InnerProduct(self._strain(u), self._strain(adjoint)),
+            ng.div(u) * ng.div(adjoint),
+        ):
+            form = ng.LinearForm(self.flat)
+            form += -by * q * ng.dx
+            form.Assemble()
+            out.append(form.vec.FV().NumPy().copy())
+        return np.stack(out)
 
 
 class Sfepy:
@@ -172,7 +325,24 @@ PACKAGES: dict[str, Any] = {
     "felupe": Felupe,
     "torch-fem": TorchFem,
     "sfepy": Sfepy,
+    "NGSolve": NGSolve,
 }
+
+
+def rehearse(
+    package: Any, acts: dict[str, Callable[[], np.ndarray]]
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Return the milliseconds and the answer of each stage that a package has."""
+    took, answers = {}, {}
+    for stage, act in acts.items():
+        began = time.process_time()
+        answers[stage] = act()
+        took[stage] = 1000 * (time.process_time() - began)
+        if stage == "static solve" and hasattr(package, "prepare"):
+            began = time.process_time()
+            package.prepare(package.latest)
+            took["prepared"] = 1000 * (time.process_time() - began)
+    return took, answers
 
 
 def main(
@@ -184,57 +354,61 @@ def main(
     touches = ps.sample_touches(probe, 2, depth=0.01, steps=1, rng=0)
     one, two = (t.ids.copy() for t in touches)
     down, aside = np.array([0, 0, -0.01]), np.array([0.01, 0, 0.005])
-    known = [
-        probe.solve(ps.move(i, d)).displacement
-        for i, d in ((one, down), (one, aside), (two, down))
-    ]
+    goal = 1.1 * np.array(probe.solve(ps.move(one, down)).displacement)
+    lame = np.repeat([[MU], [LAM]], len(tets), axis=1)
     times: dict[str, dict[str, list[float]]] = {}
-    apart: dict[str, float] = {}
+    apart: dict[str, dict[str, float]] = {}
+    known: dict[str, np.ndarray] = {}
     missing: dict[str, str] = {}
-    prepared: list[float] = []
     for round_ in range(repeat + 1):  # the first is a rehearsal
-        for name in packages[:: 1 if round_ % 2 else -1]:
+        turn = packages[:: -1 if round_ % 2 else 1]
+        for name in turn:
             if name in missing:
                 continue
-            quiet = io.StringIO()
             try:
-                with contextlib.redirect_stdout(quiet):
-                    marks = [time.perf_counter()]
+                with contextlib.redirect_stdout(io.StringIO()):
+                    began = time.process_time()
                     package = PACKAGES[name](points, tets, fixed)
-                    marks.append(time.perf_counter())
-                    answers = []
-                    ready = 0.0
-                    for act, ids, d in (
-                        (package.first, one, down),
-                        (package.again, one, aside),
-                        (package.other, two, down),
-                    ):
-                        answers.append(act(ids, d))
-                        marks.append(time.perf_counter() - ready)
-                        if act == package.first and hasattr(package, "prepare"):
-                            began = time.perf_counter()
-                            package.prepare(ids)
-                            ready = time.perf_counter() - began
-                            prepared.append(1000 * ready)
+                    ready = 1000 * (time.process_time() - began)
+                    acts = {
+                        "static solve": lambda p=package: p.first(one, down),
+                        "same vertices again": lambda p=package: p.again(one, aside),
+                        "ten other vertices": lambda p=package: p.other(two, down),
+                    }
+                    if hasattr(package, "gradient"):
+                        acts["gradient, factor kept"] = lambda p=package: p.gradient(
+                            one, down, goal
+                        )
+                        acts["gradient, new material"] = lambda p=package: p.afresh(
+                            lame, one, down, goal
+                        )
+                    took, answers = rehearse(package, acts)
             except (ImportError, AttributeError, TypeError, ValueError) as why:
                 missing[name] = f"{type(why).__name__}: {why}"
                 continue
-            off = [
-                np.linalg.norm(a - k) / np.linalg.norm(k)
-                for a, k in zip(answers, known, strict=True)
-            ]
-            apart[name] = max(apart.get(name, 0.0), *off)
+            known = known or answers  # of the first package, ours
+            worst = apart.setdefault(name, {"field": 0.0, "gradient": 0.0})
+            for stage, answer in answers.items():
+                off = np.linalg.norm(answer - known[stage]) / np.linalg.norm(known[stage])
+                what = "gradient" if "gradient" in stage else "field"
+                worst[what] = max(worst[what], float(off))
             if round_:
-                stages = times.setdefault(name, {s: [] for s in STAGES})
-                for stage, took in zip(STAGES, np.diff(marks), strict=True):
-                    stages[stage].append(1000 * took)
-    print("| package | " + " | ".join(STAGES) + " | displacements apart |")
-    print("|---" * (len(STAGES) + 2) + "|")
+                took |= {"set-up": ready, "both": ready + took["static solve"]}
+                for stage, ms in took.items():
+                    times.setdefault(name, {}).setdefault(stage, []).append(ms)
+    print("| package | " + " | ".join(STAGES) + " | fields apart | gradients apart |")
+    print("|---" * (len(STAGES) + 3) + "|")
     for name, stages in times.items():
-        cells = " | ".join(f"{median(stages[s]):.3g}" for s in STAGES)
-        print(f"| {name} | {cells} | {apart[name]:.0e} |")
-    if prepared:
-        print(f"\nplantsim's contact is prepared in {median(prepared):.3g} ms, once.")
+        cells = " | ".join(
+            f"{median(stages[s]):.3g}" if s in stages else "-" for s in STAGES
+        )
+        has = "gradient, factor kept" in stages
+        gradient = f"{apart[name]['gradient']:.0e}" if has else "-"
+        print(f"| {name} | {cells} | {apart[name]['field']:.0e} | {gradient} |")
+    for name, stages in times.items():
+        if "prepared" in stages:
+            ms = median(stages["prepared"])
+            print(f"\n{name}'s contact is prepared in {ms:.3g} ms, once.")
     for name, why in missing.items():
         print(f"\n{name} is left out ({why}).")
     return times

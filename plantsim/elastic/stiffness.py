@@ -21,7 +21,7 @@ from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, MeshTet, Mesh
 from skfem.helpers import ddot, eye, sym_grad, trace
 
 from plantsim.arrays import Array
-from plantsim.elastic.pattern import Pattern
+from plantsim.elastic.pattern import PART, Pattern
 from plantsim.mesh.tetmesh import EDGES, TetMesh
 
 CHUNK = 20_000  # tets at a time: scikit-fem's Basis holds every gradient at every point
@@ -113,6 +113,8 @@ class Blocks:
 def blocks(mesh: TetMesh, pattern: Pattern | None = None) -> Blocks:
     """Return the blocks of a mesh, from scikit-fem's Basis."""
     pattern = pattern or Pattern.of(mesh.tets, len(mesh.points))
+    if mesh.order == 1:
+        return _linear(mesh, pattern)
     m, c = mesh.tets.shape
     pairs = np.empty((pattern.where.size, 3, 3))
     gradient, weight, volume = np.empty((m, c, 3)), np.empty((m, c)), np.empty(m)
@@ -128,6 +130,30 @@ def blocks(mesh: TetMesh, pattern: Pattern | None = None) -> Blocks:
             H[turned] = H[turned].swapaxes(1, 2)
             pairs[pattern.where[part].ravel()] = H.reshape(-1, 3, 3)
     return Blocks(pattern, pairs, gradient, weight, volume)
+
+
+def _linear(mesh: TetMesh, pattern: Pattern) -> Blocks:
+    """Return the blocks at order 1, where H is the volume times two gradients."""
+    m = len(mesh.tets)
+    G, volume = np.empty((m, 4, 3)), np.empty(m)
+    for start in range(0, m, CHUNK):
+        part = slice(start, start + CHUNK)
+        basis: Any = scalar_basis(mesh.points, mesh.tets[part], False)
+        gradient, _, dx = _fields(basis)
+        G[part], volume[part] = gradient[:, :, :, 0], dx[:, 0]
+    # straight into the pattern's order
+    one, other = np.triu_indices(4)
+    at = 4 * np.arange(m)[:, None]
+    first, second = np.empty((2, pattern.where.size), dtype=np.int32)
+    first[pattern.where] = at + np.where(pattern.swapped, other, one)
+    second[pattern.where] = at + np.where(pattern.swapped, one, other)
+    scaled = (G * volume[:, None, None]).reshape(-1, 3)
+    plain = G.reshape(-1, 3)
+    pairs = np.empty((pattern.where.size, 3, 3))
+    for start in range(0, len(pairs), PART):
+        part = slice(start, start + PART)
+        np.einsum("si,sj->sij", scaled[first[part]], plain[second[part]], out=pairs[part])
+    return Blocks(pattern, pairs, G, np.repeat(volume[:, None] / 4, 4, axis=1), volume)
 
 
 @cache

@@ -1,5 +1,7 @@
 """Whether fixed vertices hold a mesh: what makes K singular, said in words."""
 
+from typing import NoReturn
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -16,6 +18,24 @@ def check_held(mesh: TetMesh, fixed: Array) -> None:
     line, fixed ones or ones that it shares with a body that is held; so two bodies that
     share an edge or a vertex alone are a hinge.
     """
+    body = _bodies(mesh)
+    held = np.zeros(len(mesh.points), dtype=bool)
+    held[fixed] = True
+    if body.max() == 0:
+        waiting = [np.arange(len(mesh.points))]
+    else:
+        waiting = [np.unique(mesh.tets[body == b]) for b in range(int(body.max()) + 1)]
+    while waiting:
+        firm = [_spans_a_plane(mesh.points[ids[held[ids]]]) for ids in waiting]
+        if not any(firm):
+            _refuse(mesh, fixed, waiting[0], held)
+        for ids, now in zip(waiting, firm, strict=True):
+            held[ids] |= now
+        waiting = [ids for ids, now in zip(waiting, firm, strict=True) if not now]
+
+
+def _refuse(mesh: TetMesh, fixed: Array, ids: Array, held: Array) -> NoReturn:
+    """Raise ModelError for a body of vertices `ids` that is free to turn, or free."""
     piece = mesh.pieces
     count = int(piece.max()) + 1
     loose = np.setdiff1d(np.arange(count), piece[fixed])
@@ -31,22 +51,11 @@ def check_held(mesh: TetMesh, fixed: Array) -> None:
         raise ModelError(
             f"{what}, so the system is singular. Fix at least three in each piece."
         )
-    body = _bodies(mesh)
-    held = np.zeros(len(mesh.points), dtype=bool)
-    held[fixed] = True
-    waiting = [np.unique(mesh.tets[body == b]) for b in range(int(body.max()) + 1)]
-    while waiting:
-        firm = [_spans_a_plane(mesh.points[ids[held[ids]]]) for ids in waiting]
-        if not any(firm):
-            ids = waiting[0]
-            raise ModelError(
-                f"a body of {len(ids)} vertices (among them {ids[0]}) is held by "
-                f"{int(held[ids].sum())} vertices, fixed or shared with a held body, which "
-                "leave it free to turn. Fix at least three that are not in line."
-            )
-        for ids, now in zip(waiting, firm, strict=True):
-            held[ids] |= now
-        waiting = [ids for ids, now in zip(waiting, firm, strict=True) if not now]
+    raise ModelError(
+        f"a body of {len(ids)} vertices (among them {ids[0]}) is held by "
+        f"{int(held[ids].sum())} vertices, fixed or shared with a held body, which "
+        "leave it free to turn. Fix at least three that are not in line."
+    )
 
 
 def _spans_a_plane(x: Array) -> bool:

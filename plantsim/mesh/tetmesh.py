@@ -94,9 +94,11 @@ class TetMesh:
         object.__setattr__(self, "sets", MappingProxyType(sets))
 
     def _check_volumes(self) -> None:
-        ends = self.points[self.tets[:, EDGES]]
-        longest = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
-        bad = np.flatnonzero(self.volumes <= 1e-12 * longest**3)
+        corners = self.tets[:, :4].T
+        x = np.stack([axis[corners] for axis in self.points.T])  # (3, 4, m)
+        sides = x[:, EDGES[:, 1]] - x[:, EDGES[:, 0]]
+        longest = (sides**2).sum(axis=0).max(axis=0)  # squared
+        bad = np.flatnonzero(self.volumes <= 1e-12 * longest**1.5)
         if bad.size:
             inverted = int((self.volumes < 0).sum())
             raise MeshError(
@@ -145,7 +147,22 @@ class TetMesh:
     @cached_property
     def _faces(self) -> tuple[Array, Array]:
         """First place (of tet times four and face) and count of each distinct face."""
-        return unique_rows(np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1))
+        order, new = self._face_order
+        start = np.flatnonzero(new)
+        return order[start], np.diff(np.append(start, len(order)))
+
+    @cached_property
+    def _face_order(self) -> tuple[Array, Array]:
+        """Faces (tet times four and number) by their vertices; which differ from the last.
+
+        Both (4 m,).
+        """
+        a, b, c = self.tets[:, FACES].reshape(-1, 3).T
+        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+        n = len(self.points)
+        key = (low * n + (a + b + c - low - high)) * n + high
+        order = np.argsort(key, kind="stable")
+        return order, np.diff(key[order], prepend=-1) != 0
 
     @cached_property
     def surface(self) -> Array:
@@ -201,10 +218,9 @@ class TetMesh:
     @cached_property
     def neighbours(self) -> Array:
         """Pairs (k, 2) of tets that share a face."""
-        faces = np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1)
-        order = np.lexsort(faces.T)
-        same = np.flatnonzero((faces[order[1:]] == faces[order[:-1]]).all(axis=1))
-        return np.stack([order[same], order[same + 1]], axis=1) // len(FACES)
+        order, new = self._face_order
+        same = np.flatnonzero(~new)
+        return np.stack([order[same - 1], order[same]], axis=1) // len(FACES)
 
     @property
     def curved(self) -> bool:

@@ -126,13 +126,18 @@ class _Pardiso:
     def __init__(self, K: Any) -> None:
         pypardiso: Any = importlib.import_module("pypardiso")
         self._upper = csr_matrix(triu(K, format="csr"))
-        self._solver = pypardiso.PyPardisoSolver(mtype=2)
+        try:
+            self._solver = pypardiso.PyPardisoSolver(mtype=2)
+        except (ImportError, OSError) as why:
+            raise SolverError(
+                f"direct: pypardiso is installed, but its MKL is not found ({why}). "
+                "Install mkl beside it, or remove pypardiso."
+            ) from None
         weakref.finalize(self, self._solver.free_memory, everything=True)
         try:
             self._solver.factorize(self._upper)
-        except (
-            Exception
-        ) as why:  # PyPardisoError, whose class is not to be had before import
+        # PyPardisoError, whose class is not to be had before import
+        except Exception as why:
             raise SolverError(
                 f"direct: PARDISO gave no factor of {K.shape[0]:,} unknowns ({why}). Hold "
                 "more vertices, or use solver='multigrid'."

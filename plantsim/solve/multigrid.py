@@ -90,9 +90,9 @@ class MultigridFactor:
 
     def compliance(self, rows: Array) -> Array:
         """Return K^-1 among some unknowns (k,), (k, k), by a solve for each."""
-        unit = np.zeros((self.K.shape[0], len(rows)), order="F")
+        unit = np.zeros((3 * (len(self.K.indptr) - 1), len(rows)), order="F")
         unit[rows, np.arange(len(rows))] = 1.0
-        S = self(unit)[0][rows]
+        S = np.asarray(self(unit)[0])[rows]
         return (S + S.T) / 2
 
     def _one(self, f: Array) -> tuple[Array, int, Array]:
