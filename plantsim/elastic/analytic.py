@@ -66,6 +66,32 @@ def cantilever_tip(
     return float(quad(strain, 0, length, epsabs=0, epsrel=1e-10)[0])
 
 
+def arc_tip(
+    bend: float, radius: float, young: float, poisson: float, *, across: bool
+) -> float:
+    """Return the deflection [m] of the tip of a clamped quarter circle by 1 N there.
+
+    `bend` is the radius of the circle, `radius` that of the round section. The load goes
+    along the tangent at the clamp, or `across` the plane of the arc. By the unit-load
+    theorem, bending, torsion, shear and extension. Source: Timoshenko, Strength of
+    Materials, part I, section 80 (in its plane); part II, section 10 (across).
+
+    >>> EI = 1e9 * np.pi * 0.01**4 / 4
+    >>> bool(abs(arc_tip(1.0, 0.01, 1e9, 0.0, across=False) * EI / (np.pi / 4) - 1) < 1e-3)
+    True
+    """
+    area, inertia = np.pi * radius**2, np.pi * radius**4 / 4
+    G = young / (2 * (1 + poisson))
+    quarter = bend * np.pi / 2
+    GA = shear_coefficient(poisson) * G * area
+    if across:
+        bending = bend**3 * np.pi / 4 / (young * inertia)
+        torsion = bend**3 * (3 * np.pi / 4 - 2) / (G * 2 * inertia)
+        return bending + torsion + quarter / GA
+    extension = quarter / 2 / (young * area)
+    return bend**3 * np.pi / 4 / (young * inertia) + quarter / 2 / GA + extension
+
+
 def twist(
     length: float, base_radius: float, tip_radius: float, young: float, poisson: float
 ) -> float:

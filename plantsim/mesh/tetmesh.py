@@ -69,7 +69,6 @@ class TetMesh:
                 f"{int((self._faces[1] > 2).sum())} faces belong to three tets or more, "
                 "so tets are there twice or overlap. Take each once."
             )
-        self._check_volumes()
         region = np.zeros(len(tets), int) if self.region is None else self.region
         region = frozen(region, (len(tets),), np.int64, name="region", error=MeshError)
         object.__setattr__(self, "region", region)
@@ -85,6 +84,7 @@ class TetMesh:
                 f"{len(names)} region names. Number regions from 0, with a name for each."
             )
         object.__setattr__(self, "region_names", names)
+        self._check_volumes()
         sets = {}
         for name, ids in self.sets.items():
             try:
@@ -103,7 +103,7 @@ class TetMesh:
             inverted = int((self.volumes < 0).sum())
             raise MeshError(
                 f"{bad.size} tets are inverted or have no volume ({inverted} inverted; "
-                f"first ids: {few(bad)}). Swap two corners of an inverted tet; mesh again "
+                f"first ids: {few(bad)}, in region {self._region_of(bad[0])}). Swap two corners of an inverted tet; mesh again "
                 "where flat."
             )
         if self.order == 2:
@@ -113,9 +113,13 @@ class TetMesh:
             if bent.size:
                 raise MeshError(
                     f"{bent.size} curved tets are folded, that is, inverted at a node "
-                    f"(first ids: {few(bent)}). Straighten them: "
+                    f"(first ids: {few(bent)}, in region {self._region_of(bent[0])}). "
+                    "Straighten them: "
                     "mesh.with_order(1).with_order(2)."
                 )
+
+    def _region_of(self, tet: int) -> str:
+        return self.region_names[np.asarray(self.region)[tet]]
 
     @property
     def order(self) -> int:

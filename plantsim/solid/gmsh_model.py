@@ -185,9 +185,7 @@ def _end_faces(seams: Sequence[Ring], around: int) -> set[int]:
     return discs
 
 
-def fill(
-    points: Array, faces: Array, flat: Array, algorithm: int
-) -> tuple[Array, Array]:
+def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Array, Array]:
     """Return points and tets that fill a closed surface, whose points come first.
 
     The filler gets the surface shaken by a thousandth of its edges: rings have many points

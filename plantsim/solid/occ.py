@@ -5,6 +5,8 @@ gmsh; smooth lofts mesh well alone and lose pieces in booleans. The two kinds me
 circles of equally many points.
 """
 
+import itertools
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -31,7 +33,7 @@ def surface(
     """
     parts: list[tuple[Array, Array]] = []
     lofts: list[list[Ring]] = []
-    seams: list[Ring] = []  # rings at which the kinds meet
+    open_: list[tuple[bool, bool]] = []  # whether a loft meets rings at its start, end
     cuts = (
         [Stretch(i, 0.0, 1.0, True) for i in range(len(solid.tubes))]
         if whole
@@ -44,13 +46,19 @@ def surface(
         ):
             if cut.joint:
                 lofts.append(rings)
-                seams += [rings[0]] if cut.start > 0 else []
-                seams += [rings[-1]] if cut.end < 1 else []
+                open_.append((cut.start > 0, cut.end < 1))
                 continue
             last = "open" if cut.end < 1 else ("apex" if tube.round_tip else "flat")
             first = "flat" if cut.start == 0 else "open"
             parts.append(skin(rings, around, first=first, last=last, even=last == "open"))
     if lofts:
+        lofts = _turned_away(lofts, around)
+        seams = [
+            rings[end]
+            for rings, ends in zip(lofts, open_, strict=True)
+            for end, here in zip((0, -1), ends, strict=True)
+            if here
+        ]
         parts.append(gmsh_model.fused_surface(lofts, seams, around))
     return _joined(parts)
 
@@ -93,6 +101,47 @@ def _straight(x: Array, t: Array, n: Array, r: Array, i: int) -> None:
     # the same direction at both ends, square to the axis
     across = n[i] - (n[i] @ t[i]) * t[i]
     n[i : i + 2] = across / np.linalg.norm(across)
+
+
+def _turned_away(lofts: list[list[Ring]], around: int) -> list[list[Ring]]:
+    """Return the lofts turned by whole steps so that their seams keep clear of others.
+
+    A kernel's tube has an edge along it; where that touches another tube, booleans fail.
+    """
+    low = np.array([np.min([c - 1.1 * r for c, r, _, _ in loft], axis=0) for loft in lofts])
+    high = np.array(
+        [np.max([c + 1.1 * r for c, r, _, _ in loft], axis=0) for loft in lofts]
+    )
+    meet = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+    angle = 2 * np.pi / around * np.arange(around)[:, None]
+    out = []
+    for i, loft in enumerate(lofts):
+        others = [lofts[j] for j in np.flatnonzero(meet[i]) if j != i]
+        clear = np.full(around, np.inf)
+        lines = [_seams(a, b, angle) for a, b in itertools.pairwise(loft)]
+        x = np.concatenate(lines, axis=1)
+        for other in others:
+            for (c, r, _, _), (end, r1, _, _) in itertools.pairwise(other):
+                way = end - c
+                s = np.clip((x - c) @ way / (way @ way), 0, 1)
+                off = np.linalg.norm(x - c - s[:, :, None] * way, axis=2)
+                clear = np.minimum(clear, (off / (r + s * (r1 - r))).min(axis=1))
+        # a seam that goes into another limb is as good as any that does
+        best = int(np.where(clear > 1, clear, 0).argmax())
+        out.append([(c, r, t, _turned(t, n, float(angle[best, 0]))) for c, r, t, n in loft])
+    return out
+
+
+def _seams(start: Ring, end: Ring, angle: Array) -> Array:
+    """Return points (k, 9, 3) along each of the lines at k angles (k, 1) of a frustum."""
+    (c0, r0, t0, n0), (c1, r1, t1, n1) = start, end
+    first = c0 + r0 * (np.cos(angle) * n0 + np.sin(angle) * np.cross(t0, n0))
+    last = c1 + r1 * (np.cos(angle) * n1 + np.sin(angle) * np.cross(t1, n1))
+    return first[:, None] + np.linspace(0, 1, 9)[:, None] * (last - first)[:, None]
+
+
+def _turned(t: Array, n: Array, angle: float) -> Array:
+    return np.cos(angle) * n + np.sin(angle) * np.cross(t, n) if angle else n
 
 
 def _joined(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:

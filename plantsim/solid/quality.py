@@ -1,5 +1,7 @@
 """Raw mesh to sound mesh: slivers repaired, surfaces curved, limbs labelled."""
 
+import itertools
+
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -179,7 +181,7 @@ class _Boxes:
         """Return the rows of the points in the boxes of eight parts of an axis."""
         out = []
         cuts = np.linspace(0, len(axis) - 1, 9 if len(axis) > 16 else 2).astype(int)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        for a, b in itertools.pairwise(cuts):
             low = (axis[a : b + 1] - room[a : b + 1, None]).min(axis=0)
             high = (axis[a : b + 1] + room[a : b + 1, None]).max(axis=0)
             first, last = np.searchsorted(self.columns[2], (low[2], high[2]))
