@@ -33,13 +33,15 @@ if TYPE_CHECKING:
     from plantsim.errors import SolverError as SolverError
     from plantsim.estimation.estimate import Estimate as Estimate
     from plantsim.estimation.estimate import estimate as estimate
+    from plantsim.estimation.files import read_observations as read_observations
+    from plantsim.estimation.files import write_observations as write_observations
     from plantsim.estimation.force_matrix import force_matrix as force_matrix
     from plantsim.estimation.observation import Observation as Observation
     from plantsim.estimation.observation import observe as observe
-    from plantsim.estimation.observation import read_observations as read_observations
-    from plantsim.estimation.observation import write_observations as write_observations
+    from plantsim.estimation.parameters import features as features
     from plantsim.estimation.parameters import per_element as per_element
     from plantsim.estimation.parameters import per_limb as per_limb
+    from plantsim.estimation.parameters import per_region as per_region
     from plantsim.mesh.files import read_mesh as read_mesh
     from plantsim.mesh.files import write_mesh as write_mesh
     from plantsim.mesh.surfaces import write_surface as write_surface
@@ -94,13 +96,14 @@ _HOME = {
     ),
     "plantsim.estimation.estimate": ("Estimate", "estimate"),
     "plantsim.estimation.force_matrix": ("force_matrix",),
-    "plantsim.estimation.observation": (
-        "Observation",
-        "observe",
-        "read_observations",
-        "write_observations",
+    "plantsim.estimation.files": ("read_observations", "write_observations"),
+    "plantsim.estimation.observation": ("Observation", "observe"),
+    "plantsim.estimation.parameters": (
+        "features",
+        "per_element",
+        "per_limb",
+        "per_region",
     ),
-    "plantsim.estimation.parameters": ("per_element", "per_limb"),
     "plantsim.mesh.files": ("read_mesh", "write_mesh"),
     "plantsim.mesh.surfaces": ("write_surface",),
     "plantsim.mesh.tetmesh": ("TetMesh",),

@@ -14,7 +14,8 @@ from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import DependencyError
 from plantsim.estimation.estimate import estimate
-from plantsim.estimation.observation import observe, write_observations
+from plantsim.estimation.files import write_observations
+from plantsim.estimation.observation import observe
 from plantsim.estimation.parameters import per_limb
 from plantsim.mesh.files import write_mesh
 from plantsim.mesh.tetmesh import TetMesh

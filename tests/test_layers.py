@@ -16,6 +16,7 @@ HOMES = {
     "pyamg": {"solve/multigrid.py"},
     "skfem": {"elastic/stiffness.py"},
     "cvxpy": {"estimation/force_balance.py"},
+    "h5py": {"estimation/files.py"},
     "pyvista": {"view/figures.py"},
     "trimesh": {"mesh/surfaces.py"},
     "viser": {"view/app.py"},
@@ -85,7 +86,8 @@ def test_files_stay_short(path):
 def test_import_is_light():
     code = (
         "import sys, plantsim; heavy = set(sys.modules) & set("
-        "'gmsh meshio pyamg skfem cvxpy pyvista vtk viser typer matplotlib'.split()); "
+        "'gmsh meshio pyamg skfem cvxpy h5py pyvista vtk viser typer matplotlib '"
+        "'trimesh'.split()); "
         "assert not heavy, heavy; assert 'weber_penn' in dir(plantsim)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

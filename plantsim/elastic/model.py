@@ -202,7 +202,7 @@ class Nothing:
     name: str = "none"
     backend: str = "nothing to solve"
 
-    def __call__(self, f: Array) -> tuple[Array, int, float]:
+    def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, float]:
         """Return f, which is empty."""
         return f, 0, 0.0
 

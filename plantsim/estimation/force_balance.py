@@ -1,7 +1,7 @@
 """Force balance: the paper's convex programme for the Lame parameters.
 
-    minimise  sum_t |W(u_t) theta - f_t|^2 / s_f^2  +  |x - x0|^2 / spread^2
-    over x >= 0, theta = A x
+    minimise  sum_t |(W(u_t) theta - f_t) / s_f|^2  +  |D x|^2
+    over theta = theta of the prior (1 + B x) >= 0
 
 It trusts the displacements to be exact; with noise on them it fails, as K amplifies it.
 Source: Yao and Hauser, Generating and Estimating Linear FEM Plant Simulation Models.
@@ -14,17 +14,19 @@ from typing import Any, Literal
 
 import cvxpy as cp
 import numpy as np
-from scipy.sparse import csr_array, issparse, vstack
+from scipy.sparse import csr_array, diags_array, issparse, vstack
 
 from plantsim.arrays import Array, few, vertex_ids
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
+from plantsim.estimation.cases import check_free
 from plantsim.estimation.force_matrix import force_matrix
 from plantsim.estimation.observation import Observation
-from plantsim.estimation.parameters import Linear
+from plantsim.estimation.parameters import Chart
 
 Rows = Literal["contact", "balance"]
 LEAST = 1e-6  # smallest multiplier: theta >= 0, and a solid needs mu above 0
+EXACT = 1e-6  # least noise of a force, over the root mean square of the forces
 DENSE = 2000  # up to so many parameters the rows are first reduced by QR
 
 
@@ -45,20 +47,28 @@ class EstimateStats:
 def solve(
     model: ElasticModel,
     observations: Sequence[Observation],
-    linear: Linear,
+    chart: Chart,
     rows: Rows,
     solver: str,
 ) -> tuple[Array, EstimateStats]:
-    """Return the multipliers x (p,) of the programme, and how they were found."""
+    """Return x (p,) of the programme, and how it was found."""
     began = time.perf_counter()
-    parts = [_equations(model, seen, linear, rows) for seen in observations]
-    B: Any = vstack([b / s for b, _, s in parts])
-    g = np.concatenate([f / s for _, f, s in parts])
-    count = len(g)
-    M, h = _reduced(B, g) if len(linear.mean) <= DENSE else (B, g)
-    x = cp.Variable(len(linear.mean))
-    prior = cp.sum_squares((x - linear.mean) / linear.std)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(M @ x - h) + prior), [x >= LEAST])
+    parts = [_equations(model, seen, rows) for seen in observations]
+    weights = [1 / s for _, _, s in parts]
+    M: Any = vstack(
+        [diags_array(w) @ W for w, (W, _, _) in zip(weights, parts, strict=True)]
+    )
+    f = np.concatenate([f for _, f, _ in parts])
+    w = np.concatenate(weights)
+    M = M @ diags_array(chart.theta)
+    g = w * f - M @ np.ones(len(chart.theta))
+    B: Any = csr_array(M @ chart.B)
+    N, h = _reduced(B, g) if chart.size <= DENSE else (B, g)
+    x = cp.Variable(chart.size)
+    # where columns only say which tets go together, one bound each is enough
+    bound = chart.mix if chart.columns.nnz == len(chart.theta) else chart.B
+    objective = cp.sum_squares(N @ x - h) + cp.sum_squares(chart.precision @ x)
+    problem = cp.Problem(cp.Minimize(objective), [bound @ x >= LEAST - 1])
     try:
         problem.solve(solver=solver)
     except cp.SolverError as why:
@@ -71,14 +81,14 @@ def solve(
             f"force balance: {solver} ended {problem.status!r}. Try another solver, of "
             f"{', '.join(cp.installed_solvers())}."
         )
-    found = np.maximum(x.value, LEAST)
-    miss = np.concatenate([b @ found - f for b, f, _ in parts])
+    found = np.asarray(x.value)
+    miss = (B @ found - g) / w
     stats = EstimateStats(
         "force-balance",
         solver,
         problem.status,
-        count,
-        len(found),
+        len(f),
+        chart.size,
         float(np.asarray(problem.value)),
         float(np.sqrt(np.mean(miss**2))),
         time.perf_counter() - began,
@@ -87,9 +97,9 @@ def solve(
 
 
 def _equations(
-    model: ElasticModel, seen: Observation, linear: Linear, rows: Rows
-) -> tuple[csr_array, Array, float]:
-    """Return W A on the chosen rows, the forces there, and their standard deviation."""
+    model: ElasticModel, seen: Observation, rows: Rows
+) -> tuple[Any, Array, Array]:
+    """Return W on the chosen rows, the forces there, and their standard deviations."""
     n = len(model.mesh.points)
     for name in ("moved", "seen"):
         vertex_ids(getattr(seen, name), n, name)
@@ -104,14 +114,12 @@ def _equations(
         known[ids] = True
     blind = np.zeros(n, dtype=bool)  # vertices of which a neighbour was not seen
     blind[model.mesh.tets[~known[model.mesh.tets].all(axis=1)]] = True
-    held = np.intersect1d(seen.moved, fixed)
-    if len(held):
+    check_free(model, seen.moved)
+    if seen.force is None or not seen.force.any():
         raise EstimateError(
-            f"an observation moves {len(held)} vertices that the model holds fixed (first "
-            f"ids: {few(held)}). Take them out of one."
+            "force balance needs the force on each moved vertex, and an observation has "
+            "none. Leave it out, or use method='map'."
         )
-    if not seen.force.any():
-        raise EstimateError("an observation has no force at all. Leave it out.")
     hidden = seen.moved[blind[seen.moved]]
     if len(hidden):
         raise EstimateError(
@@ -123,12 +131,17 @@ def _equations(
     if rows == "balance":
         free = np.setdiff1d(np.arange(n), np.union1d(fixed, seen.moved))
         at = np.concatenate([at, free[~blind[free]]])
-    f = np.zeros((len(at), 3))
-    f[: len(seen.moved)] = seen.force
+    f, noise = np.zeros((2, n, 3))
+    f[seen.loaded] = seen.load
+    f[seen.moved] += seen.force
+    typical = np.sqrt(np.mean(seen.force**2))
+    noise[seen.moved] = seen.noise_of("force")
+    # where nothing was felt the balance is as sure as the forces are on the whole
+    mean = np.sqrt(np.mean(noise[seen.moved] ** 2))
+    noise[np.setdiff1d(np.arange(n), seen.moved)] = mean
+    noise = np.maximum(noise, EXACT * typical)
     W = force_matrix(model, u)[(3 * at[:, None] + np.arange(3)).ravel()]
-    typical = float(np.sqrt(np.mean(seen.force**2)))
-    noise = seen.force_noise or 1e-6 * typical
-    return csr_array(W @ linear.A), f.ravel(), noise
+    return W, f[at].ravel(), noise[at].ravel()
 
 
 def _reduced(B: Any, g: Array) -> tuple[Array, Array]:

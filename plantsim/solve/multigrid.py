@@ -80,7 +80,7 @@ class MultigridFactor:
         """One V cycle as a linear operator."""
         return self.levels.aspreconditioner(cycle="V")
 
-    def __call__(self, f: Array) -> tuple[Array, int, Array]:
+    def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), the CG iterations, the backward errors."""
         if f.ndim == 1:
             return self._one(f)

@@ -23,11 +23,13 @@ class Factor(Protocol):
         """Library routine that does the work."""
         ...
 
-    def __call__(self, f: Array) -> tuple[Array, int, Array]:
+    def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, Array]:
         """Return the solution for f, (n,) or (n, k), the iterations and the backward error.
 
         The error is () or (k,), one for each column; the iterations are of the slowest.
-        Raises SolverError where a column misses its backward error.
+        Raises SolverError where a column misses its backward error. A direct factor leaves
+        the errors out without `check`, for the many inner solves of a method whose outer
+        ones are checked.
         """
         ...
 

@@ -1,0 +1,327 @@
+"""Output error: the maximum a posteriori estimate, by Gauss-Newton in log-moduli.
+
+    minimise   |(u(theta) - u_seen) / s_u|^2 + |(Q f(theta) - f_felt) / s_f|^2 + |xi|^2
+
+over xi, halved; log theta is linear in xi (see `parameters`). The model's displacements are
+compared with those seen, so that noise is not amplified, and what was not seen or felt has
+no term. While the misfit is far above the noise it is tempered: divided by what it is on
+the whole, at most a quarter less an iteration, so that the strongest readings do not lead
+the way alone.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, cg
+
+from plantsim.arrays import Array
+from plantsim.elastic.material import Material
+from plantsim.elastic.model import ElasticModel
+from plantsim.errors import EstimateError, SolverError
+from plantsim.estimation.cases import Case
+from plantsim.estimation.parameters import Chart
+from plantsim.estimation.response import Response
+
+FEW = 128  # columns of a chart up to which the Jacobian is made, not only applied
+FAR = 2.0  # largest change of a log-modulus in one step
+SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
+HALVINGS = 12
+PAIRS = 100  # directions remembered for the preconditioner
+NEAR = 0.7  # change of a log-modulus up to which the Hessian is much the same
+COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
+GAIN = 0.3  # of the mean gain of CG's iterations: less, and it stops
+
+
+@dataclass(frozen=True)
+class Step:
+    """One iteration of the estimate."""
+
+    iteration: int
+    cost: float
+    gradient: float  # 2-norm in xi, where the prior has unit variance
+    change: float  # largest change of a log-modulus in the step that led here
+    share: float  # of the Gauss-Newton step that was taken
+    inner: int  # CG iterations
+    seconds: float
+
+
+@dataclass(frozen=True)
+class MapStats:
+    """How a maximum a posteriori estimate was found."""
+
+    method: str
+    status: str  # "converged"
+    iterations: int
+    parameters: int
+    readings: int  # numbers seen and felt, after proportional touches are joined
+    cases: int
+    cost: float
+    misfit: float  # the part of the cost that is due to the readings
+    path: tuple[Step, ...]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Options:
+    """When to stop, and how hard to work."""
+
+    tolerance: float = 1e-3  # stop when a step promises less than this share of the cost
+    iterations: int = 40
+    inner: int = 100  # CG iterations of one Gauss-Newton step
+    progress: Callable[[Step], Any] | None = None
+
+
+class Objective:
+    """The cost at one xi, its gradient and Gauss-Newton Hessian."""
+
+    def __init__(
+        self, model: ElasticModel, chart: Chart, cases: Sequence[Case], xi: Array
+    ) -> None:
+        """Solve for every case."""
+        self.chart, self.cases, self.xi = chart, cases, xi
+        mu, lam = np.split(chart.moduli(xi), 2)
+        material = Material.lame(mu, lam, model.material.density)
+        self.model = model.with_material(material)
+        self.response = Response(self.model, cases)
+        free = (3 * self.response.free[:, None] + np.arange(3)).ravel()
+        self.weight = np.stack([c.displacement_weight[free] for c in cases], axis=1)
+        seen = np.stack([c.displacement[free] for c in cases], axis=1)
+        self.miss_u = self.response.u - seen
+        self.miss_f = [
+            c.feel @ f - c.force for c, f in zip(cases, self.response.force, strict=True)
+        ]
+        self.misfit = 0.5 * float(np.vdot(self.miss_u, self.weight * self.miss_u))
+        for c, r in zip(cases, self.miss_f, strict=True):
+            self.misfit += 0.5 * float(r @ (c.force_weight * r))
+        self.prior = 0.5 * float(xi @ xi)
+        self.temper = 1.0  # the misfit counts that many times less
+
+    @property
+    def cost(self) -> float:
+        """Return what is minimised."""
+        return self.misfit / self.temper + self.prior
+
+    def _back(self, by_u: Array, by_f: Sequence[Array]) -> Array:
+        """Return the weighed readings' pull on xi."""
+        back = [
+            c.feel.T @ (c.force_weight * r) for c, r in zip(self.cases, by_f, strict=True)
+        ]
+        return self.chart.adjoint(self.response.pull(self.weight * by_u, back))
+
+    def gradient(self) -> Array:
+        """Return the derivative of the cost by xi, exactly."""
+        return self.xi + self._back(self.miss_u, self.miss_f) / self.temper
+
+    def hessian(self, v: Array) -> Array:
+        """Return the Gauss-Newton Hessian of the misfit, without the prior's, times v."""
+        du, df = self.response.change(self.chart.log(np.ravel(v)))
+        felt = [c.feel @ f for c, f in zip(self.cases, df, strict=True)]
+        return self._back(du, felt)
+
+    def small_hessian(self) -> Array:
+        """Return the same as a matrix (q, q) over the logarithms of the chart's columns."""
+        q = self.chart.columns.shape[1]
+        H = np.zeros((q, q))
+        for t, c in enumerate(self.cases):
+            seen = np.flatnonzero(self.weight[:, t])
+            du, df = self.response.change_of(t, self.chart.columns)
+            du = du[seen] * np.sqrt(self.weight[seen, t])[:, None]
+            felt = (c.feel @ df) * np.sqrt(c.force_weight)[:, None]
+            H += du.T @ du + felt.T @ felt
+        return H
+
+    def dense_hessian(self) -> Array:
+        """Return the Gauss-Newton Hessian of the misfit by xi, (p, p)."""
+        mix = self.chart.unwhiten(self.chart.mix.T.toarray()).T  # (q, p)
+        return mix.T @ self.small_hessian() @ mix
+
+
+def solve(
+    model: ElasticModel, chart: Chart, cases: Sequence[Case], options: Options
+) -> tuple[Objective, MapStats]:
+    """Return the objective at its minimum, and how that was found."""
+    began = time.perf_counter()
+    xi = _start(model, chart, cases)
+    here = Objective(model, chart, cases, xi)
+    path: list[Step] = []
+    memory = Memory(PAIRS)
+    change, share, inner = 0.0, 1.0, 0
+
+    def tell(gradient: float) -> None:
+        seconds = time.perf_counter() - began
+        step = Step(len(path), here.cost, gradient, change, share, inner, seconds)
+        path.append(step)
+        if options.progress is not None:
+            options.progress(step)
+
+    readings = sum(int((c.displacement_weight > 0).sum()) + len(c.force) for c in cases)
+    temper = np.inf
+    while True:
+        temper = max(1.0, min(temper / COOLING, 2 * here.misfit / readings))
+        here.temper = temper
+        g = here.gradient()
+        size = float(np.linalg.norm(g))
+        tell(size)
+        direction, inner = _direction(here, g, memory, options)
+        promise = -float(g @ direction)  # twice the decrease of the quadratic model
+        if temper == 1 and promise <= 2 * options.tolerance * max(here.cost, readings / 2):
+            break
+        if len(path) > options.iterations:
+            raise EstimateError(
+                f"map: not converged after {options.iterations} iterations; the next step "
+                f"promises {promise / 2 / here.cost:.1e} of the cost, wanted "
+                f"{options.tolerance:.0e}. Raise iterations=, or check the noise given."
+            )
+        log = chart.log(direction)
+        far = float(np.abs(log).max())
+        there, share = _search(here, direction, promise, min(1.0, FAR / far))
+        if there is None:
+            raise EstimateError(
+                "map: no step lowers the cost, though the gradient is "
+                f"{size:.2g}. The readings may be exact beyond rounding: give noise."
+            )
+        change = share * far
+        if change > NEAR:
+            memory.clear()
+        here = there
+    stats = MapStats(
+        "map",
+        "converged",
+        len(path) - 1,
+        chart.size,
+        sum(int((c.displacement_weight > 0).sum()) + len(c.force) for c in cases),
+        len(cases),
+        here.cost,
+        here.misfit,
+        tuple(path),
+        time.perf_counter() - began,
+    )
+    return here, stats
+
+
+def _start(model: ElasticModel, chart: Chart, cases: Sequence[Case]) -> Array:
+    """Return xi of the prior's moduli times the one factor that fits the forces best.
+
+    Without loads the field does not depend on it, and forces are proportional to it.
+    """
+    none = np.zeros(chart.size)
+    if any(c.load.any() for c in cases):
+        return none
+    response = Objective(model, chart, cases, none).response
+    above = below = 0.0
+    for c, f in zip(cases, response.force, strict=True):
+        model_f = c.feel @ f
+        above += float(model_f @ (c.force_weight * c.force))
+        below += float(model_f @ (c.force_weight * model_f))
+    return chart.start(float(np.log(above / below))) if above > 0 and below > 0 else none
+
+
+def _direction(
+    here: Objective, g: Array, memory: "Memory", options: Options
+) -> tuple[Array, int]:
+    """Return the Gauss-Newton step, and the CG iterations it took."""
+    p = len(g)
+    if here.chart.columns.shape[1] <= FEW:
+        return -np.linalg.solve(here.dense_hessian() / here.temper + np.eye(p), g), 0
+
+    def product(v: Array) -> Array:
+        v = np.ravel(v).copy()
+        y = v + here.hessian(v) / here.temper
+        new.append((v, y))
+        return y
+
+    new: list[tuple[Array, Array]] = []
+    H: Any = LinearOperator((p, p), matvec=product, dtype=float)  # type: ignore[call-arg]
+    M: Any = LinearOperator((p, p), matvec=memory.apply, dtype=float)  # type: ignore[call-arg]
+    watch = _Watch(g)
+    try:
+        step, _ = cg(H, -g, M=M, rtol=1e-3, maxiter=options.inner, callback=watch)
+    except _Enough:
+        step = watch.step
+    memory.add(new)
+    return step, watch.count
+
+
+class Memory:
+    """What CG learnt of the Hessian, as the preconditioner of the next steps.
+
+    Source: Morales and Nocedal 2000, SIAM J. Optim. 10, automatic preconditioning by
+    limited memory quasi-Newton updating.
+    """
+
+    def __init__(self, pairs: int) -> None:
+        """Keep up to so many pairs of a direction and the Hessian's product with it."""
+        self.pairs = pairs
+        self.s: list[Array] = []
+        self.y: list[Array] = []
+
+    def add(self, new: Sequence[tuple[Array, Array]]) -> None:
+        """Add pairs, forgetting the oldest."""
+        for v, Hv in new:
+            size = np.sqrt(v @ Hv)
+            self.s.append(v / size)
+            self.y.append(Hv / size)
+        del self.s[: -self.pairs], self.y[: -self.pairs]
+
+    def clear(self) -> None:
+        """Forget all."""
+        self.s, self.y = [], []
+
+    def apply(self, v: Array) -> Array:
+        """Return the approximate inverse of the Hessian times v: L-BFGS, two loops."""
+        out = np.ravel(v).copy()
+        share = []
+        for s, y in zip(reversed(self.s), reversed(self.y), strict=True):
+            share.append(float(np.einsum("i,i", s, out)))
+            out -= share[-1] * y
+        for s, y in zip(self.s, self.y, strict=True):
+            out += (share.pop() - float(np.einsum("i,i", y, out))) * s
+        return out
+
+
+class _Enough(Exception):
+    """CG has gone far enough: no error."""
+
+
+class _Watch:
+    """Stops CG where its next step would gain little of what it has gained.
+
+    From zero, CG's k-th point x has the quadratic model g x / 2. The rule is that of Nash
+    and Sofer 1990, Oper. Res. Lett. 9: stop when an iteration gains less than a share of
+    the mean of those before it.
+    """
+
+    def __init__(self, g: Array) -> None:
+        self.g = g
+        self.count, self.gained = 0, 0.0
+        self.step = np.zeros_like(g)
+
+    def __call__(self, x: Array) -> None:
+        self.count += 1
+        gained = -0.5 * float(self.g @ x)
+        now = gained - self.gained
+        self.gained, self.step = gained, x.copy()
+        if self.count > 1 and self.count * now < GAIN * gained:
+            raise _Enough
+
+
+def _search(
+    here: Objective, direction: Array, promise: float, share: float
+) -> tuple[Objective | None, float]:
+    """Return the objective after the largest share of a step that lowers the cost."""
+    for _ in range(HALVINGS):
+        try:
+            there = Objective(
+                here.model, here.chart, here.cases, here.xi + share * direction
+            )
+        except SolverError:
+            there = None
+        if there is not None:
+            there.temper = here.temper
+        if there is not None and here.cost - there.cost >= SUFFICIENT * share * promise:
+            return there, share
+        share /= 2
+    return None, 0.0
