@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from plantsim.arrays import Array
+from plantsim.cards import card
 from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
@@ -47,6 +48,8 @@ class Estimate:
             for name, e, t in zip(mesh.region_names, mean, total, strict=True)
             if t > 0
         }
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         s = self.stats

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, Random, frozen, generator
+from plantsim.cards import card
 from plantsim.elastic.loads import Move
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, FileError
@@ -64,6 +65,8 @@ class Observation:
         value = frozen(raw, shape, dtype, name=name, error=EstimateError)
         object.__setattr__(self, name, value)
         return value
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         total = np.linalg.norm(self.force.sum(axis=0))

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plantsim.arrays import Array, few, frozen, vertex_ids
+from plantsim.cards import card
 from plantsim.errors import MeshError
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # VTK: nodes 4 to 9
@@ -266,6 +267,8 @@ class TetMesh:
     def with_region(self, region: ArrayLike, names: tuple[str, ...] = ()) -> Self:
         """Return the mesh with other regions, (m,) int, and their names."""
         return replace(self, region=np.asarray(region), region_names=names)
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         sets = ", ".join(f"{k} {len(v)}" for k, v in self.sets.items()) or "none"
