@@ -40,7 +40,7 @@ def test_posterior_shows_each_field_on_its_own_scale(state, tmp_path):
     young = state.model.material.young / 1e9
     spread = np.linspace(0.1, 2, len(mesh.tets))
     path = ps.figure_posterior(
-        mesh, young, spread, tmp_path / "a.png", prior_std=2.0, next_touch=[5]
+        mesh, young, spread, tmp_path / "a.png", prior_std=2.0, next_touch=state.moved[:1]
     )
     picture = matplotlib.image.imread(path)
     assert picture.shape[1] == 3 * picture.shape[0]

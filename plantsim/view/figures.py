@@ -27,6 +27,7 @@ from plantsim.view.style import (
 
 SIZE = (1200, 1200)
 FORCE = 0.12  # of the plant's size: the longest arrow of a force
+PATCH = 0.08  # of the plant's size: moved vertices nearer than this are one hand's
 FPS = 20  # of an animation
 
 
@@ -42,7 +43,8 @@ def figure_deformation(
     Black wireframe: at rest; grey surface: deformed, displacements times `scale`; red
     arrows: from where the moved vertices were the way they went (at least 4 % of the plant
     long, to be seen); with `forces` green arrows: the contact forces there, the largest
-    12 % of the plant long. Raises DependencyError where pictures cannot be drawn, with what
+    12 % of the plant long, or their sum alone where the vertices are one small patch, in
+    which neighbours push against each other. Raises DependencyError where pictures cannot be drawn, with what
     to install.
     """
     return _pictures([(_deformation(state, scale, forces), "")], out)
@@ -184,12 +186,14 @@ def _deformation(state: Equilibrium, scale: float, forces: bool) -> _Scene:
             )
         )
         if forces:
-            f = state.force[state.moved]
+            f, at = state.force[state.moved], bent[state.moved]
+            if np.ptp(starts, axis=0).max() < PATCH * span:
+                f, at = f.sum(axis=0)[None], at.mean(axis=0)[None]
             most = max(float(np.linalg.norm(f, axis=1).max()), 1e-300)
             long = FORCE * span / most * f
             parts.append(
                 (
-                    lambda pv: _arrows(pv, bent[state.moved], long, span),
+                    lambda pv: _arrows(pv, at, long, span),
                     {"color": CONTACT, "lighting": False},
                 )
             )
@@ -330,14 +334,14 @@ def _pictures(
         scene.add(pv, plotter)
         if title:
             plotter.add_text(title, position="upper_edge", color="black", font_size=12)
-        _look(plotter, scene.points)
+        _look(plotter, scene.points, 0.6 if title else 0.54)
     with replacing(path) as temporary:
         plotter.screenshot(temporary)
     plotter.close()
     return Picture(path)
 
 
-def _look(plotter: Any, points: Array) -> None:
+def _look(plotter: Any, points: Array, margin: float = 0.54) -> None:
     """Look at the plant from the side, a little above, all of it in the picture."""
     low, high = points.min(axis=0), points.max(axis=0)
     centre, span = (low + high) / 2, high - low
@@ -350,5 +354,5 @@ def _look(plotter: Any, points: Array) -> None:
     plotter.camera.up = (0, 0, 1)
     plotter.enable_parallel_projection()
     # half of what is to be seen from top to bottom, with a margin
-    plotter.camera.parallel_scale = 0.54 * float(max(span[2], span[1 - across]))
+    plotter.camera.parallel_scale = margin * float(max(span[2], span[1 - across]))
     plotter.renderer.reset_camera_clipping_range()
