@@ -44,8 +44,8 @@ def figure_deformation(
     arrows: from where the moved vertices were the way they went (at least 4 % of the plant
     long, to be seen); with `forces` green arrows: the contact forces there, the largest
     12 % of the plant long, or their sum alone where the vertices are one small patch, in
-    which neighbours push against each other. Raises DependencyError where pictures cannot be drawn, with what
-    to install.
+    which neighbours push against each other. Raises DependencyError where pictures cannot
+    be drawn, with what to install.
     """
     return _pictures([(_deformation(state, scale, forces), "")], out)
 
