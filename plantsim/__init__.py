@@ -69,8 +69,14 @@ if TYPE_CHECKING:
     from plantsim.touch.grasp import nearest_vertices as nearest_vertices
     from plantsim.touch.sequences import lowest as lowest
     from plantsim.touch.sequences import sample_touches as sample_touches
+    from plantsim.view.figures import animate_touch as animate_touch
     from plantsim.view.figures import figure_deformation as figure_deformation
+    from plantsim.view.figures import figure_gallery as figure_gallery
     from plantsim.view.figures import figure_material as figure_material
+    from plantsim.view.figures import figure_posterior as figure_posterior
+    from plantsim.view.plots import figure_convergence as figure_convergence
+    from plantsim.view.plots import figure_ratios as figure_ratios
+    from plantsim.view.plots import figure_table_one as figure_table_one
     from plantsim.view.skeletons import figure_skeleton as figure_skeleton
 
 __version__ = "0.1.0"
@@ -119,7 +125,14 @@ _HOME = {
     "plantsim.solve.multigrid": ("Multigrid",),
     "plantsim.touch.grasp": ("grasp", "nearest_vertices"),
     "plantsim.touch.sequences": ("lowest", "sample_touches"),
-    "plantsim.view.figures": ("figure_deformation", "figure_material"),
+    "plantsim.view.figures": (
+        "animate_touch",
+        "figure_deformation",
+        "figure_gallery",
+        "figure_material",
+        "figure_posterior",
+    ),
+    "plantsim.view.plots": ("figure_convergence", "figure_ratios", "figure_table_one"),
     "plantsim.view.skeletons": ("figure_skeleton",),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}

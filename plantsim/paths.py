@@ -1,5 +1,6 @@
 """Files that are either whole or absent, and readers that trust nothing."""
 
+import base64
 import os
 import tempfile
 from collections.abc import Iterator
@@ -54,3 +55,15 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+class Picture(type(Path())):
+    """The path of a picture that was drawn; a notebook shows the picture itself."""
+
+    def _repr_mimebundle_(self, **_: object) -> dict[str, str]:
+        kind = {".png": "image/png", ".gif": "image/gif"}.get(self.suffix.lower())
+        if kind is None or not self.is_file():
+            return {"text/plain": str(self)}
+        code = base64.b64encode(self.read_bytes()).decode()
+        tag = f'<img style="max-width:100%" src="data:{kind};base64,{code}"/>'
+        return {"text/plain": str(self), "text/html": tag}

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = """errors arrays paths plant mesh solid solve elastic touch estimation view doctor
-demo cli""".split()
+ROOMS = """errors arrays paths cards plant mesh solid solve elastic touch estimation view
+doctor demo cli""".split()
 HOMES = {
     "gmsh": {"solid/gmsh_model.py"},
     "meshio": {"mesh/files.py"},

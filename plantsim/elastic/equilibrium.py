@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from plantsim.arrays import Array
+from plantsim.cards import card
 from plantsim.elastic.limb_table import LimbTable, limb_table
 from plantsim.solve.stats import SolveStats
 
@@ -89,6 +90,8 @@ class Equilibrium:
         # the one call that goes up the house, by a door that opens when it is used
         figures = importlib.import_module("plantsim.view.figures")
         return figures.figure_deformation(self, out, **options)
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         length = np.linalg.norm(self.displacement, axis=1)

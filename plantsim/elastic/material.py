@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, few, frozen
+from plantsim.cards import card
 from plantsim.errors import MaterialError
 
 
@@ -93,6 +94,8 @@ class Material:
             np.broadcast_to(v, (count,)) for v in (self.mu, self.lam, self.density)
         )
         return mu, lam, rho
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         def span(x: Array) -> str:

@@ -1,8 +1,10 @@
 """ElasticModel: a mesh, a material and supports; loads -> Equilibrium."""
 
+import os
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from plantsim.arrays import Array
+from plantsim.cards import card
 from plantsim.elastic.contact import Columns, Contact
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Load, ids_in
@@ -183,6 +186,16 @@ class ElasticModel:
     def mass(self) -> float:
         """Mass [kg] of the plant."""
         return float(self.nodal_mass.sum())
+
+    def plot(self, out: str | os.PathLike[str] = "model.png", **options: Any) -> Path:
+        """Draw Young's modulus of the tets to a PNG; options as of `ps.figure_material`."""
+        from plantsim.view.figures import figure_material  # noqa: PLC0415
+
+        count = len(self.mesh.tets)
+        young = np.broadcast_to(self.material.young / 1e9, (count,))
+        return figure_material(self.mesh, young, out, **options)
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         fixed = self.fixed_ids

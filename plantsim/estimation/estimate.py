@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from plantsim.arrays import Array, Random
+from plantsim.cards import card
 from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
@@ -100,6 +101,8 @@ class Estimate:
             Material.lame(*np.split(theta, 2), self.material.density)
             for theta in self.posterior.sample(n, rng)
         )
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         s = self.stats

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, Random, frozen, generator
+from plantsim.cards import card
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Load, Move
 from plantsim.elastic.model import ElasticModel
@@ -109,6 +110,8 @@ class Observation:
         if noise.ndim == 1 and len(shape) == 2:
             noise = noise[:, None]
         return np.broadcast_to(noise, shape)
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         parts = []

@@ -118,7 +118,10 @@ class Response:
 
     @cached_property
     def W(self) -> Any:
-        """Forces by log-moduli (cases free, 2m), W(u) diag(theta) of one case after another."""
+        """Derivatives of forces by log-moduli, a case after another.
+
+        (cases free, 2m)
+        """
         mesh = self.model.mesh
         m, c = mesh.tets.shape
         mu, lam, _ = self.model.material.per_tet(m)

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plantsim.arrays import Array, few, frozen, vertex_ids
+from plantsim.cards import card
 from plantsim.errors import MeshError
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # VTK: nodes 4 to 9
@@ -103,8 +104,8 @@ class TetMesh:
             inverted = int((self.volumes < 0).sum())
             raise MeshError(
                 f"{bad.size} tets are inverted or have no volume ({inverted} inverted; "
-                f"first ids: {few(bad)}, in region {self._region_of(bad[0])}). Swap two corners of an inverted tet; mesh again "
-                "where flat."
+                f"first ids: {few(bad)}, in region {self._region_of(bad[0])}). Swap two "
+                "corners of an inverted tet; mesh again where flat."
             )
         if self.order == 2:
             curved = np.flatnonzero(self.bent)
@@ -274,6 +275,8 @@ class TetMesh:
     def with_region(self, region: ArrayLike, names: tuple[str, ...] = ()) -> Self:
         """Return the mesh with other regions, (m,) int, and their names."""
         return replace(self, region=np.asarray(region), region_names=names)
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         sets = ", ".join(f"{k} {len(v)}" for k, v in self.sets.items()) or "none"

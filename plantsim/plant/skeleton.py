@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, Random, few, frozen
+from plantsim.cards import card
 from plantsim.errors import GeometryError
 from plantsim.plant import bends, collisions, foliage, hindrances, prepare, prune
 from plantsim.plant.curves import Splines, arcs, splines
@@ -370,6 +371,8 @@ class Skeleton:
         """
         thin = 0.02 * float(self.radius[0]) if min_radius is None else min_radius
         return prepare.prepared(self, thin, max_limbs, forks)
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         assert self.level is not None

@@ -28,7 +28,7 @@ from plantsim.mesh.tetmesh import TetMesh
 from plantsim.plant.hung import Masses
 from plantsim.view.panel import Panel
 from plantsim.view.skin import Skin
-from plantsim.view.style import CONTACT, MOVED
+from plantsim.view.style import CONTACT, MOVED, rgb
 from plantsim.view.touching import Burden, Frame, Touching, hit
 
 LOOPBACK = "127.0.0.1"
@@ -173,7 +173,7 @@ class Viewer:
         self._arrow = scene.add_arrows(
             "/force",
             np.zeros((1, 2, 3)),
-            _rgb(CONTACT),
+            rgb(CONTACT),
             shaft_radius=0.006 * self.span,
             head_radius=0.014 * self.span,
             head_length=0.035 * self.span,
@@ -181,7 +181,7 @@ class Viewer:
         )
         self._label = scene.add_label("/newtons", "", visible=False, anchor="bottom-left")
         self._dots = scene.add_point_cloud(
-            "/held", np.zeros((1, 3)), _rgb(MOVED), point_size=0.008 * self.span
+            "/held", np.zeros((1, 3)), rgb(MOVED), point_size=0.008 * self.span
         )
         self._dots.visible = False
         camera, middle = self.server.initial_camera, (low + high) / 2
@@ -349,7 +349,3 @@ class Viewer:
         if self._typical == 0.0 and travel > 0:  # of the first frame in which it moved
             self._typical = 0.02 * self.span * newtons / travel
         return 0.3 * self.span * newtons / (newtons + self._typical + 1e-300)
-
-
-def _rgb(code: str) -> tuple[int, int, int]:
-    return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.view.style import STIFFNESS, STRESS, UNCERTAINTY, colours, extent
+from plantsim.view.style import LIMBS, STIFFNESS, STRESS, UNCERTAINTY, colours, extent, rgb
 from plantsim.view.touching import Touching
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 SHADES = 20
 PLAIN = (139, 158, 120)
 FULL = 20_000  # triangles up to which middles of curved faces are drawn too
-LIMBS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0))
 
 
 class Skin:
@@ -64,7 +63,7 @@ class Skin:
         self.legend = ""
         if what == "limb" and viewer is not None:
             region = np.asarray(viewer.touching.mesh.region)
-            self._paint(region[self._tets] % len(LIMBS), LIMBS)
+            self._paint(region[self._tets] % len(LIMBS), [rgb(c) for c in LIMBS])
             return
         values, unit, cmap = (None, "", "") if viewer is None else field(what, viewer)
         if values is None:

@@ -15,6 +15,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
 YELLOW, BLUE, VERMILION, PURPLE = "#f0e442", "#0072b2", "#d55e00", "#cc79a7"
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 MARKS = ("o", "s", "^", "D", "v", "P", "X")  # a shape beside the colour: print is grey
+LIMBS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)  # one after the other, then again
 REST, DEFORMED = "#000000", "#9a9a9a"  # the paper's Figure 1
 MOVED, CONTACT = "#e31a1c", "#1b9e4b"
 # perceptually even and monotone in lightness, so that they survive a grey print
@@ -73,3 +74,8 @@ def extent(values: ArrayLike) -> tuple[float, float]:
     low, high = float(x.min()), float(x.max())
     pad = 0.0 if high > low else (0.05 * abs(high) or 1.0)
     return low - pad, high + pad
+
+
+def rgb(code: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of a colour such as "#0072b2"."""
+    return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)
