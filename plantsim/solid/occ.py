@@ -112,7 +112,7 @@ def _turned_away(lofts: list[list[Ring]], around: int) -> list[list[Ring]]:
     high = np.array(
         [np.max([c + 1.1 * r for c, r, _, _ in loft], axis=0) for loft in lofts]
     )
-    meet = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+    meet = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=2)
     angle = 2 * np.pi / around * np.arange(around)[:, None]
     out = []
     for i, loft in enumerate(lofts):

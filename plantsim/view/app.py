@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from plantsim.arrays import Array
 from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
-from plantsim.errors import PlantsimError
+from plantsim.errors import EstimateError, PlantsimError
 from plantsim.estimation.observation import Observation
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.plant.hung import Masses
@@ -226,10 +226,11 @@ class Viewer:
 
     def uncertainty(self) -> Array | None:
         """Return the standard deviation (m,) [%] of each tet's modulus, if known."""
-        spread = getattr(self.found, "std", None)
-        if spread is None:
-            self.panel.complain("This method of estimation tells no uncertainty.")
-        return spread
+        try:
+            return 100 * self.found.tet_std
+        except EstimateError as why:  # not every method knows
+            self.panel.complain(str(why))
+            return None
 
     # the thread
 

@@ -13,7 +13,7 @@ from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import LINEAR_LIMIT
 from plantsim.elastic.material import Material
 from plantsim.estimation.estimate import estimate
-from plantsim.estimation.observation import write_observations
+from plantsim.estimation.files import write_observations
 from plantsim.estimation.parameters import per_limb
 from plantsim.mesh.files import FORMATS, read_mesh
 from plantsim.plant.parameters import species_names
