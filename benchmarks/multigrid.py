@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pyamg
 import skfem
-from scipy.sparse import bsr_matrix
+from scipy.sparse import bsr_matrix, csr_array, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 import plantsim as ps
 from plantsim.solve.multigrid import MultigridFactor, rigid_modes
@@ -94,6 +95,7 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
         TWO | strong(0.0) | {"smooth": ("energy", {"krylov": "cg", "maxiter": 4})},
         "V",
     ),
+    "two levels, aggregates along the limbs": (TWO | {"aggregate": "limbs"}, "V"),
     "many levels, strength 0": (MANY | strong(0.0), "V"),
     "many levels, strength 0, W cycle": (MANY | strong(0.0), "W"),
     "many levels, evolution, energy, W": (
@@ -106,6 +108,30 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "many levels, no rigid modes": (MANY | strong(0.0) | {"B": None}, "V"),
 }
+
+
+def along_limbs(model: ps.ElasticModel, free: np.ndarray) -> csr_array:
+    """Return aggregates (k, a) of free vertices: slices across limbs, as nodes of a beam.
+
+    Vertices as far from the base along the edges, to within twice the median edge, and
+    connected.
+    """
+    graph = csr_array(model.pattern.positions[free][:, free]).tocoo()
+    row, column = graph.row, graph.col
+    length = np.linalg.norm(
+        np.diff(model.mesh.points[free[[row, column]]], axis=0)[0], axis=1
+    )
+    at_base = model.pattern.positions[free][:, model.fixed_ids].sum(axis=1) > 0
+    edges = csr_array((length, (row, column)), shape=graph.shape)
+    far = dijkstra(edges, indices=np.flatnonzero(at_base), min_only=True)
+    far[np.isinf(far)] = 0  # cut off by what is moved
+    slab = (far / (2 * np.median(length[row != column]))).astype(int)
+    same = slab[row] == slab[column]
+    ones = np.ones(int(same.sum()))
+    within = csr_array((ones, (row[same], column[same])), shape=graph.shape)
+    count, label = connected_components(within, directed=False)
+    each = np.arange(len(free) + 1)
+    return csr_array((np.ones(len(free)), label, each), shape=(len(free), count))
 
 
 class Cycle(MultigridFactor):
@@ -138,6 +164,11 @@ def variants(mesh: ps.TetMesh, height: float, moved: np.ndarray) -> None:
             "improve_candidates": None,
             "coarse_solver": "splu",
         } | options
+        if given.get("aggregate") == "limbs":
+            # pyamg has its own kind of matrix
+            slices = csr_matrix(along_limbs(model, free))
+            given["aggregate"] = [("predefined", {"AggOp": slices})]
+            given["strength"] = [None]
         build: Any = pyamg.smoothed_aggregation_solver
         levels = build(matrix, **given)
         ready = time.process_time()

@@ -28,6 +28,7 @@ def test_every_load_balances(model):
         ps.move(tips[:2], (0, 0, -1e-3)),
         ps.hold(tips[2:4], free=(0, 0, 1), displacement=(1e-3, 0, 0)),
         ps.force(tips[4:], (1.0, 0, 0.3)),
+        ps.grasp(tips[4:], translation=(1e-3, 0, 0), rotation=(0, 0, 0.02)),
         ps.traction(up, (0, 20.0, 0)),
         ps.traction(up, 100.0),
         ps.hang([[0, 0.1, 0.5], [0, -0.1, 0.5]], [0.2, 0.1]),
@@ -36,6 +37,11 @@ def test_every_load_balances(model):
     for load in loads:
         assert balanced(model.solve(load)), load
     assert balanced(model.solve(*loads))
+    # by a contact, and by the compliance of vertices not met before
+    assert balanced(model.contact(tips).solve((0, 0, -1e-3)))
+    again = model.solve(ps.move(tips, (0, 1e-3, 0)), *loads[4:])
+    assert "compliance" in again.stats.backend
+    assert balanced(again)
 
 
 def test_loads_add_up(model):

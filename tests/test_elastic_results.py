@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import plantsim as ps
+from plantsim.elastic.analytic import cantilever_tip
 
 
 def test_limb_table_of_a_cantilever(cantilever):
@@ -16,6 +17,33 @@ def test_limb_table_of_a_cantilever(cantilever):
     assert row.tip[0] == pytest.approx(state.displacement[tip, 0].mean(), rel=1e-2)
     # beam theory at the clamp: 4 M / (pi r^3), less the mean over the nearest tets
     assert row.stress == pytest.approx(4 * 0.6 / (np.pi * 0.02**3), rel=0.4)
+
+
+def test_limb_table_is_beam_theory():
+    """All columns at once on a slender limb: pulled, bent and twisted at its end."""
+    L, r, young, pull, push, turn = 0.8, 0.02, 6e9, 300.0, 2.0, 1.5
+    mesh = ps.tetrahedralize(ps.sweep(ps.straight(L, r), tips="flat"), 0.6)
+    model = ps.ElasticModel(mesh, ps.Material(young, 0.3))
+    tip = np.flatnonzero(mesh.points[:, 2] > L - 1e-9)
+    x, y, _ = mesh.points[tip].T
+    couple = turn * np.stack([-y, x, 0 * x], axis=1) / (x**2 + y**2).sum()
+    (even,) = ps.traction(tip, (0, 0, 1.0)).parts(mesh)
+    axial = ps.force(even.ids, even.force * pull / even.force.sum())
+    state = model.solve(axial, ps.force(tip, (push, 0, 0)), ps.force(tip, couple))
+    (row,) = state.limbs
+    assert row.axial == pytest.approx(pull, rel=1e-3)
+    assert row.shear == pytest.approx(push, rel=0.02)  # pull across an axis 1e-4 askew
+    assert row.bending == pytest.approx(push * L, rel=1e-3)
+    assert abs(row.torsion) == pytest.approx(turn, rel=2e-3)
+    known = cantilever_tip(L, r, r, young, 0.3, end_load=push)
+    (bent,) = model.solve(ps.force(tip, (push, 0, 0))).limbs  # not twisted: at the rim
+    assert bent.tip[0] == pytest.approx(known, rel=0.02)
+    # von Mises at the clamp's edge; a tet's mean lies some way in from it
+    normal = pull / (np.pi * r**2) + 4 * push * L / (np.pi * r**3)
+    shear = 2 * turn / (np.pi * r**3)
+    edge = np.hypot(normal, np.sqrt(3) * shear)
+    assert row.stress == pytest.approx(edge, rel=0.2)
+    assert row.stress == state.von_mises.max()
 
 
 def test_limb_table_of_a_fork_balances_at_the_joint(fork):

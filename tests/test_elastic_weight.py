@@ -12,6 +12,9 @@ def test_fruit_weighs_on_its_own_limb():
     assert masses.total == pytest.approx(1.2)
     bare = model.solve(ps.gravity())
     state = model.solve(ps.gravity(masses=masses))
+    size = np.abs(state.force).sum()
+    assert np.abs(state.force.sum(axis=0)).max() < 1e-9 * size
+    assert np.abs(np.cross(mesh.points, state.force).sum(axis=0)).max() < 1e-9 * size
     base = mesh.sets["base"]
     more = (state.force - bare.force)[base].sum(axis=0)
     assert more == pytest.approx([0, 0, 1.2 * 9.80665], abs=1e-9)

@@ -58,9 +58,12 @@ def test_rigid_modes_are_rigid(fork):
     assert np.linalg.matrix_rank(B) == 6
 
 
-def test_auto_goes_by_size():
+@pytest.mark.parametrize(("pardiso", "limit"), [(False, 400_000), (True, 10**6)])
+def test_auto_goes_by_size(monkeypatch, pardiso, limit):
+    monkeypatch.setattr("plantsim.solve.solver.has_pardiso", lambda: pardiso)
     assert isinstance(choose("auto", 1000), ps.Direct)
-    assert isinstance(choose("auto", 10**6), ps.Multigrid)
+    assert isinstance(choose("auto", limit), ps.Direct)
+    assert isinstance(choose("auto", limit + 1), ps.Multigrid)
     assert choose(ps.Multigrid(tolerance=1e-8), 10).tolerance == 1e-8  # type: ignore[union-attr]
 
 

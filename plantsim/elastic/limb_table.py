@@ -67,7 +67,8 @@ class LimbTable:
 def limb_table(state: "Equilibrium") -> LimbTable:
     """Return the table of a state; its regions are taken for limbs.
 
-    A region hangs from the neighbour by which it is reached first from the fixed vertices.
+    A limb's axis goes from the centre of its base section to its centre of mass. A region
+    hangs from the neighbour by which it is reached first from the fixed vertices.
     """
     model, mesh = state.model, state.model.mesh
     region = np.asarray(mesh.region)
@@ -94,7 +95,8 @@ def limb_table(state: "Equilibrium") -> LimbTable:
         ids = np.unique(mesh.tets[own])
         centre = mesh.points[section].mean(axis=0)
         far = ids[np.linalg.norm(mesh.points[ids] - centre, axis=1).argmax()]
-        axis = mesh.points[ids].mean(axis=0) - centre
+        share = mesh.volumes[own] / mesh.volumes[own].sum()
+        axis = share @ mesh.points[mesh.tets[own, :4]].mean(axis=1) - centre
         axis /= max(float(np.linalg.norm(axis)), 1e-300)
         total = force[section].sum(axis=0)
         moment = np.cross(mesh.points[section] - centre, force[section]).sum(axis=0)

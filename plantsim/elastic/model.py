@@ -36,9 +36,9 @@ MANY = 60  # moved vertices up to which their dense compliance is small
 class ElasticModel:
     """Linear elasticity of a mesh, held at `fixed`.
 
-    `fixed`: a set's name or vertex ids. `solver`: "auto" (direct up to 400,000 unknowns,
-    else multigrid), "direct", "multigrid", or a solver value such as
-    `ps.Multigrid(tolerance=1e-10)`.
+    `fixed`: a set's name or vertex ids. `solver`: "auto" (direct up to 400,000 unknowns, a
+    million with pypardiso, else multigrid), "direct", "multigrid", or a solver value such
+    as `ps.Multigrid(tolerance=1e-10)`.
 
     Raises ModelError for ids out of range or an unknown set, and where a connected piece of
     the mesh is not held by at least three vertices that are not in line, since K would be

@@ -27,6 +27,11 @@ STRIP = 6
 FORWARD = 1e-6
 
 
+def has_pardiso() -> bool:
+    """Return whether pypardiso (extra `fast`) is installed."""
+    return importlib.util.find_spec("pypardiso") is not None
+
+
 @dataclass(frozen=True)
 class Direct:
     """A sparse factor: SuperLU without pivoting, ordered by minimum degree on A + A^T.
@@ -41,8 +46,7 @@ class Direct:
     def factor(self, K: bsr_array, points: Array) -> "DirectFactor":
         """Return the factor of K; SolverError if K is singular."""
         csr: Any = K.tocsr()
-        large = csr.shape[0] >= PARDISO_FROM
-        if large and importlib.util.find_spec("pypardiso") is not None:
+        if csr.shape[0] >= PARDISO_FROM and has_pardiso():
             return DirectFactor(csr, _Pardiso(csr), self.tolerance, backend="MKL PARDISO")
         # K is symmetric, so its CSR arrays are its CSC arrays
         csc: Any = csc_array((csr.data, csr.indices, csr.indptr), shape=csr.shape)

@@ -6,7 +6,7 @@ from scipy.sparse import bsr_array
 
 from plantsim.arrays import Array
 from plantsim.errors import SolverError
-from plantsim.solve.direct import Direct
+from plantsim.solve.direct import Direct, has_pardiso
 from plantsim.solve.multigrid import Multigrid
 
 
@@ -47,17 +47,24 @@ class Solver(Protocol):
 
 
 Choice = Solver | Literal["auto", "direct", "multigrid"]
-# Above this many unknowns SuperLU takes longer for a plant than multigrid: at 439,000 they
-# take the same time for one solve, at 297,000 SuperLU two thirds (benchmarks/solvers.py)
+# What "auto" goes by (measured: benchmarks/solvers.py). SuperLU and multigrid take the same
+# CPU time for one solve at 439,000 unknowns of a plant; SuperLU half of it at 197,000
 DIRECT_LIMIT = 400_000
+# PARDISO takes half of multigrid's time at 439,000 and is still ahead at 847,000, in 7.7
+# GiB; with twice the memory of multigrid, it would leave the 20 GB at 2 million
+PARDISO_LIMIT = 1_000_000
 
 
 def choose(solver: Choice, unknowns: int) -> Solver:
-    """Return the solver of that name; "auto" goes by the number of unknowns."""
+    """Return the solver of that name; "auto" goes by the number of unknowns.
+
+    Direct up to 400,000, or up to a million where pypardiso is installed; else multigrid.
+    """
     if not isinstance(solver, str):
         return solver
     if solver == "auto":
-        return Direct() if unknowns <= DIRECT_LIMIT else Multigrid()
+        limit = PARDISO_LIMIT if has_pardiso() else DIRECT_LIMIT
+        return Direct() if unknowns <= limit else Multigrid()
     if solver not in ("direct", "multigrid"):
         raise SolverError(f"solver {solver!r}: give 'auto', 'direct' or 'multigrid'.")
     return Direct() if solver == "direct" else Multigrid()
