@@ -70,6 +70,47 @@ def test_joints_are_checked():
         ps.sweep(ps.straight(), tips="sharp")  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("lean", "joint"), [(15, 0.5), (40, 0.5), (40, 0.03), (60, 0.5)])
+def test_the_foot_of_a_leaning_trunk_is_level(lean, joint):
+    way = np.array([np.sin(np.radians(lean)), 0, np.cos(np.radians(lean))])
+    trunk = Polyline([0 * way, way / 2, way], [0.05, 0.045, 0.04])
+    start = way * joint  # low down, the joint itself is cut by the ground
+    limb = Polyline([start, start + [0.1, 0.4, 0.2]], [0.02, 0.02], 0)
+    solid = ps.sweep(ps.Skeleton.from_limbs([trunk, limb]))
+    mesh = ps.tetrahedralize(solid)
+    base = mesh.points[mesh.sets["base"]]
+    if lean < 45:
+        assert np.abs(base[:, 2]).max() < 1e-12
+        assert mesh.points[:, 2].min() > -1e-12
+        # an ellipse, longer the way the trunk leans
+        long, wide = np.ptp(base[:, 0]), np.ptp(base[:, 1])
+        assert long / wide == pytest.approx(1 / np.cos(np.radians(lean)), rel=0.04)
+    else:
+        assert np.abs(base @ way).max() < 1e-12
+    assert mesh.volume == pytest.approx(solid.volume, rel=0.015)
+
+
+def test_a_solid_is_changed_by_making_another():
+    solid = ps.sweep(ps.fork(0.3, 0.02))
+    assert solid.check() == ()
+    flat = solid.with_tips("flat")
+    assert [t.round_tip for t in flat.tubes] == [True, False, False]  # limb 0 carries two
+    dome = 2 / 3 * np.pi * solid.tubes[1].radii[-1] ** 3
+    assert solid.volume - flat.volume == pytest.approx(2 * dome)
+    thin = solid.with_radius(0.5)
+    assert thin.tubes[2].radii == pytest.approx(0.5 * solid.tubes[2].radii)
+    one = solid.with_radius(0.5, "2")
+    assert (one.tubes[1].radii == solid.tubes[1].radii).all()
+    with pytest.raises(ps.GeometryError, match="limb 1 is .* Make it at most"):
+        solid.with_radius(3, "1")
+    with pytest.raises(ps.GeometryError, match="no limb 'x'.*0, 1, 2"):
+        solid.with_radius(2, "x")
+    with pytest.raises(ps.GeometryError, match="'round' or 'flat'"):
+        solid.with_tips("sharp")
+    bent = type(solid)((type(solid.tubes[0])("a", -1, arc(0.1, 0.11).points, [0.11] * 15),))
+    assert "limb a: radius 0.11 m where it bends" in bent.check()[0]
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_straight_limb_mesh(order):
     solid = ps.sweep(ps.straight(0.4, 0.02), tips="flat")

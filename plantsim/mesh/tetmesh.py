@@ -101,8 +101,8 @@ class TetMesh:
             inverted = int((self.volumes < 0).sum())
             raise MeshError(
                 f"{bad.size} tets are inverted or have no volume ({inverted} inverted; "
-                f"first ids: {few(bad)}, in region {self._region_of(bad[0])}). Swap two corners of an inverted tet; mesh again "
-                "where flat."
+                f"first ids: {few(bad)}, in region {self._region_of(bad[0])}). Swap two "
+                "corners of an inverted tet; mesh again where flat."
             )
         if self.order == 2:
             curved = np.flatnonzero(self.bent)

@@ -67,12 +67,16 @@ def session(**options: float) -> Iterator[Any]:
 
 
 def fused_surface(
-    lofts: Sequence[list[Ring]], seams: Sequence[Ring], around: int
+    lofts: Sequence[list[Ring]],
+    seams: Sequence[Ring],
+    around: int,
+    ground: tuple[Array, float] | None = None,
 ) -> tuple[Array, Array]:
     """Return points and triangles of lofts through circles, fused, open at the seams.
 
     Every seam is a circle that ends a loft; it gets `around` points, the first on the
-    ring's first direction. Sizes follow the curvature: `around` points a circle.
+    ring's first direction. Sizes follow the curvature: `around` points a circle. `ground`
+    is the centre of a foot and how far from it all below is cut off.
     """
     radii = [r for rings in lofts for _, r, _, _ in rings]
     edge = 2 * np.pi / around
@@ -88,7 +92,12 @@ def fused_surface(
     ):
         volumes = [_loft(rings) for rings in lofts]
         if len(volumes) > 1:
-            gmsh.model.occ.fuse(volumes[:1], volumes[1:])
+            volumes, _ = gmsh.model.occ.fuse(volumes[:1], volumes[1:])
+        if ground is not None:
+            (x, y, z), reach = ground
+            away = 2 * reach
+            soil = gmsh.model.occ.addBox(x - reach, y - reach, z - away, away, away, away)
+            gmsh.model.occ.cut(volumes, [(3, soil)])
         gmsh.model.occ.synchronize()
         ends = _end_faces(seams, around)
         _size_points(lofts, edge)

@@ -87,6 +87,11 @@ def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
     stretch = ratio[ends].mean(axis=1) / now
     target = points.copy()
     target[middle] = foot + (points[middle] - foot) * stretch[:, None]
+    # the rim of a level foot stays level
+    rim = middle[on_foot(solid, points[corners])[ends].all(axis=1)]
+    centre, normal = solid.foot
+    way = solid.tubes[0].tangent(0.0)
+    target[rim] -= ((target[rim] - centre) @ normal / (way @ normal))[:, None] * way
     return _unfold(target, points, tets)
 
 
@@ -123,9 +128,19 @@ def on_disc(tube: Tube, u: float, points: Array) -> Array:
     )
 
 
+def on_foot(solid: Solid, points: Array) -> Array:
+    """Mask the points (n, 3) on the foot."""
+    centre, normal = solid.foot
+    trunk = solid.tubes[0]
+    r = float(trunk.radius(0.0))
+    off = points - centre
+    reach = 1.3 * r / abs(normal @ trunk.tangent(0.0))
+    return (np.abs(off @ normal) < 1e-6 * r) & (np.linalg.norm(off, axis=-1) < reach)
+
+
 def flat_ends(solid: Solid, points: Array) -> Array:
     """Mask the points (n, 3) on the foot and on flat tips."""
-    flat = on_disc(solid.tubes[0], 0.0, points)
+    flat = on_foot(solid, points)
     for tube in solid.tubes:
         if not tube.round_tip:
             flat |= on_disc(tube, 1.0, points)

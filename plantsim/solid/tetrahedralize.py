@@ -15,7 +15,7 @@ from plantsim.mesh.tetmesh import TetMesh, quadratic
 from plantsim.paths import existing
 from plantsim.solid import gmsh_model, occ
 from plantsim.solid.foreign import open_geometry
-from plantsim.solid.quality import curve, flat_ends, on_axis, on_disc, repair
+from plantsim.solid.quality import curve, flat_ends, on_axis, on_foot, repair
 from plantsim.solid.soundness import check_sound
 from plantsim.solid.sweep import Solid
 
@@ -136,15 +136,10 @@ def _finished(
         points, tets, _ = quadratic(points, tets)
         points, note["flattened"] = _timed(note, "curve", curve, points, tets, solid)
     names = tuple(t.name for t in solid.tubes)
-    base = {"base": _foot(solid, points)}
+    base = {"base": np.flatnonzero(on_foot(solid, points))}
     mesh = _timed(note, "check", TetMesh, points, tets, region, base, names, report)
     note["genus"] = _timed(note, "soundness", check_sound, solid, mesh)
     return mesh
-
-
-def _foot(solid: Solid, points: Array) -> Array:
-    """Return the vertices on the flat foot of the trunk."""
-    return np.flatnonzero(on_disc(solid.tubes[0], 0.0, points))
 
 
 def _from_file(path: Path, size: float, order: int, trust: bool, timeout: float) -> TetMesh:
