@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from plantsim.touch.sequences import sample_touches as sample_touches
     from plantsim.view.figures import figure_deformation as figure_deformation
     from plantsim.view.figures import figure_material as figure_material
+    from plantsim.view.quality import figure_quality as figure_quality
     from plantsim.view.skeletons import figure_skeleton as figure_skeleton
 
 __version__ = "0.1.0"
@@ -112,6 +113,7 @@ _HOME = {
     "plantsim.touch.grasp": ("grasp", "nearest_vertices"),
     "plantsim.touch.sequences": ("lowest", "sample_touches"),
     "plantsim.view.figures": ("figure_deformation", "figure_material"),
+    "plantsim.view.quality": ("figure_quality",),
     "plantsim.view.skeletons": ("figure_skeleton",),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}

@@ -271,6 +271,22 @@ BAD_SCRIPTS = {
     "wide": 'a = Sprintf("%99999f", 1);',
     "computed format": 'b = "%g"; Printf(b, 1);',
     "question": 'a = GetValue("?", 1);',
+    "number of a string": 'a = Str2Num("1"); b = S2N("x");',
+    "hidden by a string over lines": 'a = "x\n"; SystemCall "touch MARK"; b = "\n";',
+    "in a constant": 'DefineConstant[ a = {1, Name "b"} ]; System "touch MARK";',
+    "after a backslash": 'a = "\\"; SystemCall "touch MARK"; b = "\\";',
+    "option": 'Solver.Executable0 = "touch MARK";',
+    "error file": 'General.ErrorFileName = "MARK"; Error("x") > "MARK";',
+    "merge with box": 'MergeWithBoundingBox "evil.inc";',
+    "open": 'Open "evil.inc";',
+    "shape": 'ShapeFromFile("evil.inc");',
+    "absolute": 'Include "/etc/hostname";',
+    "link": 'Merge "link.inc";',
+    "options of a merged file": 'Merge "mesh.msh";',
+    "view": 'Save View[0] "MARK";',
+    "plugin": "Plugin(NewView).Run;",
+    "list from file": 'a() = ListFromFile("/etc/passwd");',
+    "environment": 'a = GetEnv("HOME");',
     "cr": '// x\rSystemCall "touch MARK";',
 }
 
@@ -283,6 +299,9 @@ def test_scripts_that_could_run_code_are_refused(tmp_path, name):
     names = ("in/evil.inc", "in/evil.msh", "evil.inc", "in/evil.BREP")
     for evil in (tmp_path / name for name in names):
         evil.write_text(f'SystemCall "touch {mark}";\n')
+    (folder / "link.inc").symlink_to(tmp_path / "evil.inc")
+    (folder / "mesh.msh").write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n")
+    (folder / "mesh.msh.opt").write_text(f'SystemCall "touch {mark}";\n')
     path = folder / "plant.geo"
     path.write_bytes((GEO + BAD_SCRIPTS[name].replace("MARK", str(mark)) + "\n").encode())
     with pytest.raises(ps.FileError):
@@ -297,6 +316,32 @@ def test_scripts_in_the_guise_of_cad_are_not_run(tmp_path, suffix):
     with pytest.raises(ps.PlantsimError):
         ps.tetrahedralize(path)
     assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("suffix", [".geo", ".step", ".brep", ".STEP"])
+def test_options_beside_a_file_are_not_run(tmp_path, suffix):
+    # gmsh reads FILE.opt beside any file that it opens, as a script
+    path = tmp_path / f"plant{suffix}"
+    if suffix == ".geo":
+        path.write_text(GEO)
+    else:
+        from plantsim.solid import gmsh_model
+
+        made = tmp_path / f"made{suffix.lower()}"
+        with gmsh_model.session() as gmsh:
+            gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+            gmsh.model.occ.synchronize()
+            gmsh.write(str(made))
+        made.rename(path)
+    path.with_name(path.name + ".opt").write_text(
+        f'SystemCall "touch {tmp_path / "ran"}";\n'
+    )
+    with contextlib.suppress(ps.FileError):
+        ps.tetrahedralize(path, order=1)
+    assert not (tmp_path / "ran").exists()
+    if suffix != ".STEP":  # opened by another name, without its options
+        with pytest.raises(ps.FileError, match=r"\.opt: the script uses SystemCall"):
+            ps.tetrahedralize(path, order=1)
 
 
 def test_a_foreign_file_cannot_write_hang_or_crash_us(tmp_path, monkeypatch):
@@ -329,12 +374,18 @@ def test_names_that_are_not_utf8_are_one_sentence(tmp_path):
 
 def test_hexahedra_are_not_dropped_silently(tmp_path):
     path = tmp_path / "plant.geo"
-    path.write_text(
+    box = (
         'SetFactory("OpenCASCADE"); Box(1) = {0,0,0,1,1,1}; Transfinite Curve{:} = 3;'
         "Transfinite Surface{:}; Recombine Surface{:}; Transfinite Volume{1};\n"
     )
+    path.write_text(box)
     with pytest.raises(ps.MeshError, match="Hexahedron"):
         ps.tetrahedralize(path)
+    path.write_text(box + "Box(2) = {5,0,0,1,1,1}; Mesh.MeshSizeMax = 0.4;\n")
+    mesh = ps.tetrahedralize(path, order=1)
+    assert mesh.report["left_out"] == {"Hexahedron 8": 8}
+    assert mesh.volume == pytest.approx(1)
+    assert mesh.points[:, 0].min() == pytest.approx(5)
 
 
 def test_harmless_words_pass(tmp_path):

@@ -1,8 +1,10 @@
 """TetMesh: tetrahedra of order 1 or 2, with limbs as regions and named vertex sets."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -152,9 +154,19 @@ class TetMesh:
         return unique_rows(np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1))
 
     @cached_property
+    def _places(self) -> Array:
+        first, count = self._faces
+        return np.sort(first[count == 1])
+
+    @cached_property
     def surface(self) -> Array:
         """Boundary triangles (k, 3 | 6), outward; corners, then middles of 01, 12, 20."""
-        return boundary(self.tets, self._faces)
+        return boundary(self.tets, self._places)
+
+    @cached_property
+    def surface_tets(self) -> Array:
+        """The tet (k,) behind each boundary triangle."""
+        return self._places // len(FACES)
 
     @property
     def triangles(self) -> Array:
@@ -199,10 +211,42 @@ class TetMesh:
     @cached_property
     def neighbours(self) -> Array:
         """Pairs (k, 2) of tets that share a face."""
-        faces = np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1)
-        order = np.lexsort(faces.T)
+        faces = np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1).astype(np.int64)
+        n = len(self.points)
+        # two keys, for three ids of many vertices overflow one
+        order = np.lexsort((faces[:, 2], faces[:, 0] * n + faces[:, 1]))
         same = np.flatnonzero((faces[order[1:]] == faces[order[:-1]]).all(axis=1))
         return np.stack([order[same], order[same + 1]], axis=1) // len(FACES)
+
+    @cached_property
+    def parents(self) -> Array:
+        """The region that each region grows from (-1: none), away from the set "base"."""
+        from plantsim.mesh.limbs import region_parents  # noqa: PLC0415  it imports TetMesh
+
+        return region_parents(self)
+
+    def at(self, limb: int | str, fraction: float) -> Array:
+        """Return ids of the surface vertices of a limb at a fraction of its length.
+
+        `limb` by name or number; 0 is where it leaves its parent (of the trunk: the foot),
+        1 its tip. The vertices about the nearest ring of the mesh, ascending.
+        """
+        from plantsim.mesh.limbs import vertices_at  # noqa: PLC0415
+
+        return vertices_at(self, limb, fraction)
+
+    def size_report(self) -> tuple[Any, ...]:
+        """Return how finely each limb is meshed, a row a limb; prints as a table."""
+        from plantsim.mesh.limbs import size_report  # noqa: PLC0415
+
+        return size_report(self)
+
+    def plot(self, out: str | os.PathLike[str]) -> Path:
+        """Draw the mesh, coloured by limb, to a PNG; return its path."""
+        # a picture is the only call that goes up, through this one door
+        from plantsim.view.figures import figure_material  # noqa: PLC0415
+
+        return figure_material(self, np.asarray(self.region), out, label="limb")
 
     @property
     def curved(self) -> bool:
@@ -222,7 +266,8 @@ class TetMesh:
 
         A mesh that has that order already is returned as it is, curved edges and all. Ids
         of corner vertices stay when going up; going down, vertices are numbered anew in
-        their order. A set gains the middle of an edge of which it has both ends.
+        their order. A set gains the middle of an edge of which it has both ends; one on the
+        surface gains middles on the surface only.
         """
         if order not in (1, 2):
             raise MeshError(f"order is {order!r}; give 1 or 2.")
@@ -233,10 +278,15 @@ class TetMesh:
         points, tets, edges = quadratic(self.points, self.tets)
         n = len(self.points)
         sets = {}
+        outside = np.zeros(len(points), dtype=bool)
+        outside[boundary(tets)] = True
         for name, ids in self.sets.items():
             inside = np.zeros(n, dtype=bool)
             inside[ids] = True
-            sets[name] = np.append(ids, n + np.flatnonzero(inside[edges].all(axis=1)))
+            gained = inside[edges].all(axis=1)
+            if outside[ids].all():
+                gained &= outside[n:]
+            sets[name] = np.append(ids, n + np.flatnonzero(gained))
         return replace(self, points=points, tets=tets, sets=sets)
 
     def _compact(self, tets: Array) -> Self:
@@ -282,14 +332,19 @@ def quadratic(points: Array, tets: Array) -> tuple[Array, Array, Array]:
     return np.vstack([points, middles]), np.hstack([tets, n + where.reshape(-1, 6)]), edges
 
 
-def boundary(tets: Array, faces: tuple[Array, Array] | None = None) -> Array:
+def boundary(tets: Array, places: Array | None = None) -> Array:
     """Return the outer triangles (k, 3 | 6) of tets, outward, in the order of the tets."""
-    corners = tets[:, FACES].reshape(-1, 3)
-    first, count = faces or unique_rows(np.sort(corners, axis=1))
-    outer = np.sort(first[count == 1])
+    places = boundary_places(tets) if places is None else places
+    corners = tets[:, FACES].reshape(-1, 3)[places]
     if tets.shape[1] == 4:
-        return corners[outer]
-    return np.hstack([corners[outer], tets[:, FACE_MIDS].reshape(-1, 3)[outer]])
+        return corners
+    return np.hstack([corners, tets[:, FACE_MIDS].reshape(-1, 3)[places]])
+
+
+def boundary_places(tets: Array) -> Array:
+    """Return the places (k,), tet times four and face, of the outer triangles."""
+    first, count = unique_rows(np.sort(tets[:, FACES].reshape(-1, 3), axis=1))
+    return np.sort(first[count == 1])
 
 
 def compact(
