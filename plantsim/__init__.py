@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from plantsim.view.plots import figure_convergence as figure_convergence
     from plantsim.view.plots import figure_ratios as figure_ratios
     from plantsim.view.plots import figure_table_one as figure_table_one
+    from plantsim.view.quality import figure_quality as figure_quality
     from plantsim.view.skeletons import figure_skeleton as figure_skeleton
 
 __version__ = "0.1.0"
@@ -133,6 +134,7 @@ _HOME = {
         "figure_posterior",
     ),
     "plantsim.view.plots": ("figure_convergence", "figure_ratios", "figure_table_one"),
+    "plantsim.view.quality": ("figure_quality",),
     "plantsim.view.skeletons": ("figure_skeleton",),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}

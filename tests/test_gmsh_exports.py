@@ -60,6 +60,33 @@ def test_groups_that_overlap_count_once(export, options):
     check(ps.read_mesh(export(**options)), options["Mesh.ElementOrder"])
 
 
+@pytest.mark.parametrize("options", KINDS, ids=str)
+def test_mixed_elements_keep_the_tets_and_count_the_rest(tmp_path, options, caplog):
+    path = tmp_path / "mixed.msh"
+    with gmsh_model.session() as gmsh:
+        occ = gmsh.model.occ
+        occ.addBox(0, 0, 0, 1, 1, 1)
+        foot = occ.addRectangle(5, 0, 0, 1, 1)
+        made = occ.extrude([(2, foot)], 0, 0, 1, numElements=[2], recombine=True)
+        occ.synchronize()
+        block = next(tag for dim, tag in made if dim == 3)
+        gmsh.model.addPhysicalGroup(3, [1], 5, "wood")
+        gmsh.model.addPhysicalGroup(3, [block], 6, "block")
+        for key, value in options.items():
+            gmsh.option.setNumber(key, value)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+        gmsh.model.mesh.generate(3)
+        gmsh.write(str(path))
+    mesh = ps.read_mesh(path)
+    assert mesh.order == options["Mesh.ElementOrder"]
+    assert mesh.volume == pytest.approx(1.0)
+    assert mesh.region_names[0] == "wood"
+    assert (mesh.region == 0).all()
+    (count,) = mesh.report["left_out"].values()
+    assert count > 10
+    assert "left out" in caplog.text
+
+
 @pytest.mark.parametrize("binary", [0, 1])
 @pytest.mark.parametrize("extra", ["Mesh.SaveAll", "Mesh.SaveParametric"])
 def test_41_with_everything_saved(export, binary, extra):

@@ -70,6 +70,47 @@ def test_joints_are_checked():
         ps.sweep(ps.straight(), tips="sharp")  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("lean", "joint"), [(15, 0.5), (40, 0.5), (40, 0.03), (60, 0.5)])
+def test_the_foot_of_a_leaning_trunk_is_level(lean, joint):
+    way = np.array([np.sin(np.radians(lean)), 0, np.cos(np.radians(lean))])
+    trunk = Polyline([0 * way, way / 2, way], [0.05, 0.045, 0.04])
+    start = way * joint  # low down, the joint itself is cut by the ground
+    limb = Polyline([start, start + [0.1, 0.4, 0.2]], [0.02, 0.02], 0)
+    solid = ps.sweep(ps.Skeleton.from_limbs([trunk, limb]))
+    mesh = ps.tetrahedralize(solid)
+    base = mesh.points[mesh.sets["base"]]
+    if lean < 45:
+        assert np.abs(base[:, 2]).max() < 1e-12
+        assert mesh.points[:, 2].min() > -1e-12
+        # an ellipse, longer the way the trunk leans
+        long, wide = np.ptp(base[:, 0]), np.ptp(base[:, 1])
+        assert long / wide == pytest.approx(1 / np.cos(np.radians(lean)), rel=0.04)
+    else:
+        assert np.abs(base @ way).max() < 1e-12
+    assert mesh.volume == pytest.approx(solid.volume, rel=0.015)
+
+
+def test_a_solid_is_changed_by_making_another():
+    solid = ps.sweep(ps.fork(0.3, 0.02))
+    assert solid.check() == ()
+    flat = solid.with_tips("flat")
+    assert [t.round_tip for t in flat.tubes] == [True, False, False]  # limb 0 carries two
+    dome = 2 / 3 * np.pi * solid.tubes[1].radii[-1] ** 3
+    assert solid.volume - flat.volume == pytest.approx(2 * dome)
+    thin = solid.with_radius(0.5)
+    assert thin.tubes[2].radii == pytest.approx(0.5 * solid.tubes[2].radii)
+    one = solid.with_radius(0.5, "2")
+    assert (one.tubes[1].radii == solid.tubes[1].radii).all()
+    with pytest.raises(ps.GeometryError, match="limb 1 is .* Make it at most"):
+        solid.with_radius(3, "1")
+    with pytest.raises(ps.GeometryError, match="no limb 'x'.*0, 1, 2"):
+        solid.with_radius(2, "x")
+    with pytest.raises(ps.GeometryError, match="'round' or 'flat'"):
+        solid.with_tips("sharp")
+    bent = type(solid)((type(solid.tubes[0])("a", -1, arc(0.1, 0.11).points, [0.11] * 15),))
+    assert "limb a: radius 0.11 m where it bends" in bent.check()[0]
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_straight_limb_mesh(order):
     solid = ps.sweep(ps.straight(0.4, 0.02), tips="flat")
@@ -230,6 +271,22 @@ BAD_SCRIPTS = {
     "wide": 'a = Sprintf("%99999f", 1);',
     "computed format": 'b = "%g"; Printf(b, 1);',
     "question": 'a = GetValue("?", 1);',
+    "number of a string": 'a = Str2Num("1"); b = S2N("x");',
+    "hidden by a string over lines": 'a = "x\n"; SystemCall "touch MARK"; b = "\n";',
+    "in a constant": 'DefineConstant[ a = {1, Name "b"} ]; System "touch MARK";',
+    "after a backslash": 'a = "\\"; SystemCall "touch MARK"; b = "\\";',
+    "option": 'Solver.Executable0 = "touch MARK";',
+    "error file": 'General.ErrorFileName = "MARK"; Error("x") > "MARK";',
+    "merge with box": 'MergeWithBoundingBox "evil.inc";',
+    "open": 'Open "evil.inc";',
+    "shape": 'ShapeFromFile("evil.inc");',
+    "absolute": 'Include "/etc/hostname";',
+    "link": 'Merge "link.inc";',
+    "options of a merged file": 'Merge "mesh.msh";',
+    "view": 'Save View[0] "MARK";',
+    "plugin": "Plugin(NewView).Run;",
+    "list from file": 'a() = ListFromFile("/etc/passwd");',
+    "environment": 'a = GetEnv("HOME");',
     "cr": '// x\rSystemCall "touch MARK";',
 }
 
@@ -242,6 +299,9 @@ def test_scripts_that_could_run_code_are_refused(tmp_path, name):
     names = ("in/evil.inc", "in/evil.msh", "evil.inc", "in/evil.BREP")
     for evil in (tmp_path / name for name in names):
         evil.write_text(f'SystemCall "touch {mark}";\n')
+    (folder / "link.inc").symlink_to(tmp_path / "evil.inc")
+    (folder / "mesh.msh").write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n")
+    (folder / "mesh.msh.opt").write_text(f'SystemCall "touch {mark}";\n')
     path = folder / "plant.geo"
     path.write_bytes((GEO + BAD_SCRIPTS[name].replace("MARK", str(mark)) + "\n").encode())
     with pytest.raises(ps.FileError):
@@ -256,6 +316,32 @@ def test_scripts_in_the_guise_of_cad_are_not_run(tmp_path, suffix):
     with pytest.raises(ps.PlantsimError):
         ps.tetrahedralize(path)
     assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("suffix", [".geo", ".step", ".brep", ".STEP"])
+def test_options_beside_a_file_are_not_run(tmp_path, suffix):
+    # gmsh reads FILE.opt beside any file that it opens, as a script
+    path = tmp_path / f"plant{suffix}"
+    if suffix == ".geo":
+        path.write_text(GEO)
+    else:
+        from plantsim.solid import gmsh_model
+
+        made = tmp_path / f"made{suffix.lower()}"
+        with gmsh_model.session() as gmsh:
+            gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+            gmsh.model.occ.synchronize()
+            gmsh.write(str(made))
+        made.rename(path)
+    path.with_name(path.name + ".opt").write_text(
+        f'SystemCall "touch {tmp_path / "ran"}";\n'
+    )
+    with contextlib.suppress(ps.FileError):
+        ps.tetrahedralize(path, order=1)
+    assert not (tmp_path / "ran").exists()
+    if suffix != ".STEP":  # opened by another name, without its options
+        with pytest.raises(ps.FileError, match=r"\.opt: the script uses SystemCall"):
+            ps.tetrahedralize(path, order=1)
 
 
 def test_a_foreign_file_cannot_write_hang_or_crash_us(tmp_path, monkeypatch):
@@ -288,12 +374,18 @@ def test_names_that_are_not_utf8_are_one_sentence(tmp_path):
 
 def test_hexahedra_are_not_dropped_silently(tmp_path):
     path = tmp_path / "plant.geo"
-    path.write_text(
+    box = (
         'SetFactory("OpenCASCADE"); Box(1) = {0,0,0,1,1,1}; Transfinite Curve{:} = 3;'
         "Transfinite Surface{:}; Recombine Surface{:}; Transfinite Volume{1};\n"
     )
+    path.write_text(box)
     with pytest.raises(ps.MeshError, match="Hexahedron"):
         ps.tetrahedralize(path)
+    path.write_text(box + "Box(2) = {5,0,0,1,1,1}; Mesh.MeshSizeMax = 0.4;\n")
+    mesh = ps.tetrahedralize(path, order=1)
+    assert mesh.report["left_out"] == {"Hexahedron 8": 8}
+    assert mesh.volume == pytest.approx(1)
+    assert mesh.points[:, 0].min() == pytest.approx(5)
 
 
 def test_harmless_words_pass(tmp_path):

@@ -3,6 +3,7 @@
 import contextlib
 import html
 import io
+import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +22,8 @@ from plantsim.mesh.tetmesh import TetMesh, compact
 from plantsim.paths import existing, replacing, writable
 
 FORMATS = (".msh", ".vtu", ".npz")  # that are read and written
+TETS = ("tetra", "tetra10")
+log = logging.getLogger(__name__)
 Version = Literal["4.1", "2.2"]
 # VTK numbers the last two middles of a tetra10 the other way round than gmsh; meshio
 # permutes.
@@ -33,7 +36,8 @@ def read_mesh(path: str | os.PathLike[str], *, drop_unused: bool = False) -> Tet
     vertex sets. A .vtu keeps region numbers (cell data "region") and sets (0/1 point data
     "set:NAME"). An .npz has `points` and `tets`, and may have `region`, `region_names` and
     `set:NAME`. `drop_unused` drops vertices that are in no tet, which are an error
-    otherwise.
+    otherwise. Elements of volumes that are no tets are left out, with their vertices, and
+    counted in `mesh.report["left_out"]` and a warning of the log.
 
     Nothing in the file is run: scripts in the guise of a .msh and pickles are refused.
     Raises FileError for a file that is missing, broken, foreign or without tetrahedra, and
@@ -46,11 +50,14 @@ def read_mesh(path: str | os.PathLike[str], *, drop_unused: bool = False) -> Tet
             f"{path}: {path.suffix or 'no'} suffix; read_mesh takes {', '.join(FORMATS)}. "
             "For .geo and .step use tetrahedralize."
         )
-    points, tets, region, names, sets = readers[path.suffix.lower()](path)
+    points, tets, region, names, sets, others = readers[path.suffix.lower()](path)
+    if others:
+        log.warning("%s: elements that are no tetrahedra are left out: %s", path, others)
     try:
-        if drop_unused:
+        if drop_unused or others:
             points, tets, sets = _compacted(points, tets, sets)
-        return TetMesh(points, tets, region, sets, names)
+        report = {"left_out": others} if others else None
+        return TetMesh(points, tets, region, sets, names, report)
     except MeshError as why:
         raise MeshError(f"{path}: {why}") from None
 
@@ -111,7 +118,8 @@ def _compacted(
     return compact(points, tets, checked)
 
 
-Parts = tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array]]
+Counts = dict[str, int]  # of elements left out, by kind
+Parts = tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array], Counts]
 
 
 def _read_msh(path: Path) -> Parts:
@@ -139,7 +147,12 @@ def _read_msh(path: Path) -> Parts:
         )
     groups = sorted(used | set(names))
     regions = [tag for dim, tag in groups if dim == 3]
-    tets, region = _labelled_tets(path, blocks, regions, once=modern)
+    solid = [b for b in blocks if b.dim == 3 and len(b.nodes)]
+    others = _one_order(
+        path, [(b.kind, len(b.nodes)) for b in solid], [b.kind for b in blocks]
+    )
+    solid = [b for b in solid if b.kind in TETS]
+    tets, region = _labelled_tets(solid, regions, once=modern)
     sets: dict[str, Array] = {}
     for dim, tag in groups:
         if dim == 3:
@@ -158,18 +171,16 @@ def _read_msh(path: Path) -> Parts:
         titles = tuple(f"{t} {tag}" for t, tag in zip(titles, regions, strict=True))
     if region is not None and (region == len(titles)).any():
         titles += ("rest",)
-    return points, tets, region, titles if region is not None else (), sets
+    return points, tets, region, titles if region is not None else (), sets, others
 
 
 def _labelled_tets(
-    path: Path, blocks: list[Block], regions: list[int], *, once: bool
+    solid: list[Block], regions: list[int], *, once: bool
 ) -> tuple[Array, Array | None]:
     """Return the tets and the region of each, the first of the groups that it is in.
 
     Version 2.2 writes a tet once for every group that it is in, not `once` in all.
     """
-    solid = [b for b in blocks if b.dim == 3 and len(b.nodes)]
-    _one_order(path, [b.kind for b in solid], [b.kind for b in blocks])
     nodes = np.concatenate([b.nodes for b in solid])
     label = np.full(len(nodes), len(regions))
     start = 0
@@ -192,26 +203,24 @@ def _labelled_tets(
     return nodes, label if regions else None
 
 
-def _one_order(path: Path, solid: list[str], everything: list[str]) -> str:
-    """Return "tetra" or "tetra10"; FileError unless all solid elements are one."""
-    kinds = set(solid)
-    others = kinds - {"tetra", "tetra10"}
-    if not kinds & {"tetra", "tetra10"}:
+def _one_order(path: Path, solid: list[tuple[str, int]], everything: list[str]) -> Counts:
+    """Return the elements that are no tets; FileError unless the tets are of one order."""
+    kinds = {kind for kind, _ in solid} & set(TETS)
+    if not kinds:
         raise FileError(
             f"{path}: no tetrahedra in it "
             f"({', '.join(sorted(set(everything))) or 'no cells'}). Mesh the volume in 3D "
             "with tetrahedra, or use tetrahedralize on its geometry."
         )
-    if others:
-        raise FileError(
-            f"{path}: {', '.join(sorted(others))} elements beside tetrahedra. Mesh "
-            "everything with tetrahedra."
-        )
     if len(kinds) == 2:
         raise FileError(
             f"{path}: tetrahedra of order 1 and 2 mixed. Write the mesh with one order."
         )
-    return kinds.pop()
+    others: Counts = {}
+    for kind, count in solid:
+        if kind not in TETS:
+            others[kind] = others.get(kind, 0) + count
+    return others
 
 
 def _read_msh22(path: Path) -> tuple[Array, list[Block]]:
@@ -247,7 +256,12 @@ def _meshio_read(path: Path, kind: str) -> Any:
 def _read_vtu(path: Path) -> Parts:
     raw = _meshio_read(path, "vtu")
     solid = [b for b, c in enumerate(raw.cells) if c.dim == 3 and len(c.data)]
-    _one_order(path, [raw.cells[b].type for b in solid], [c.type for c in raw.cells])
+    others = _one_order(
+        path,
+        [(raw.cells[b].type, len(raw.cells[b].data)) for b in solid],
+        [c.type for c in raw.cells],
+    )
+    solid = [b for b in solid if raw.cells[b].type in TETS]
     tets = np.concatenate([raw.cells[b].data for b in solid]).astype(np.int64)
     region = raw.cell_data.get("region")
     if region is not None:
@@ -257,7 +271,7 @@ def _read_vtu(path: Path) -> Parts:
         for name, values in raw.point_data.items()
         if name.startswith("set:")
     }
-    return np.asarray(raw.points, dtype=float), tets, region, (), sets
+    return np.asarray(raw.points, dtype=float), tets, region, (), sets, others
 
 
 def _read_npz(path: Path) -> Parts:
@@ -281,7 +295,7 @@ def _read_npz(path: Path) -> Parts:
         )
     names = tuple(str(name) for name in np.atleast_1d(data.get("region_names", ())))
     sets = {k.removeprefix("set:"): v for k, v in data.items() if k.startswith("set:")}
-    return data["points"], data["tets"], data.get("region"), names, sets
+    return data["points"], data["tets"], data.get("region"), names, sets, {}
 
 
 def _write_npz(mesh: TetMesh, path: Path) -> None:

@@ -23,6 +23,7 @@ KINDS = {
     **{18: (3, 15), 7: (3, 5), 14: (3, 14), 19: (3, 13)},
 }
 TETS = {4: "tetra", 11: "tetra10"}
+OTHERS = {5: "hexahedron", 6: "wedge", 7: "pyramid", 12: "hexahedron27", 13: "wedge18"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,9 @@ def read_msh41(path: Path) -> tuple[Array, list[Block]]:
             nodes = nodes[:, GMSH_ORDER]
         everything = np.arange(len(nodes))
         tags = {tag: everything for tag in groups.get((int(dim), int(entity)), ())}
-        blocks.append(Block(int(dim), TETS.get(int(kind), f"type {kind}"), nodes, tags))
+        blocks.append(
+            Block(int(dim), (TETS | OTHERS).get(int(kind), f"type {kind}"), nodes, tags)
+        )
     return points, blocks
 
 

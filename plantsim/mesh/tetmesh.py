@@ -1,8 +1,10 @@
 """TetMesh: tetrahedra of order 1 or 2, with limbs as regions and named vertex sets."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -14,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from plantsim.arrays import Array, few, frozen, vertex_ids
 from plantsim.cards import card
 from plantsim.errors import MeshError
+from plantsim.mesh.tets import EDGES, INNER, gamma, jacobians
 
-EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # VTK: nodes 4 to 9
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # outward normals
 # gmsh numbers the last two middles of a tet the other way round than VTK: its own inverse
 GMSH_ORDER = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
@@ -165,20 +167,29 @@ class TetMesh:
         a, b, c = self.tets[:, FACES].reshape(-1, 3).T
         low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
         n = len(self.points)
-        key = (low * n + (a + b + c - low - high)) * n + high
-        order = np.argsort(key, kind="stable")
-        return order, np.diff(key[order], prepend=-1) != 0
+        key = low * n + (a + b + c - low - high)
+        if n < 2_000_000:  # else three ids overflow one key
+            key = key * n + high
+            order = np.argsort(key, kind="stable")
+            return order, np.diff(key[order], prepend=-1) != 0
+        order = np.lexsort((high, key))
+        new = np.diff(key[order], prepend=-1) != 0
+        return order, new | (np.diff(high[order], prepend=-1) != 0)
+
+    @cached_property
+    def _places(self) -> Array:
+        first, count = self._faces
+        return np.sort(first[count == 1])
 
     @cached_property
     def surface(self) -> Array:
         """Boundary triangles (k, 3 | 6), outward; corners, then middles of 01, 12, 20."""
-        return boundary(self.tets, self._faces)
+        return boundary(self.tets, self._places)
 
     @cached_property
     def surface_tets(self) -> Array:
-        """The tet (k,) behind each boundary triangle of `surface`."""
-        first, count = self._faces
-        return np.sort(first[count == 1]) // len(FACES)
+        """The tet (k,) behind each boundary triangle."""
+        return self._places // len(FACES)
 
     @property
     def triangles(self) -> Array:
@@ -227,6 +238,36 @@ class TetMesh:
         same = np.flatnonzero(~new)
         return np.stack([order[same - 1], order[same]], axis=1) // len(FACES)
 
+    @cached_property
+    def parents(self) -> Array:
+        """The region that each region grows from (-1: none), away from the set "base"."""
+        from plantsim.mesh.limbs import region_parents  # noqa: PLC0415  it imports TetMesh
+
+        return region_parents(self)
+
+    def at(self, limb: int | str, fraction: float) -> Array:
+        """Return ids of the surface vertices of a limb at a fraction of its length.
+
+        `limb` by name or number; 0 is where it leaves its parent (of the trunk: the foot),
+        1 its tip. The vertices about the nearest ring of the mesh, ascending.
+        """
+        from plantsim.mesh.limbs import vertices_at  # noqa: PLC0415
+
+        return vertices_at(self, limb, fraction)
+
+    def size_report(self) -> tuple[Any, ...]:
+        """Return how finely each limb is meshed, a row a limb; prints as a table."""
+        from plantsim.mesh.limbs import size_report  # noqa: PLC0415
+
+        return size_report(self)
+
+    def plot(self, out: str | os.PathLike[str]) -> Path:
+        """Draw the mesh, coloured by limb, to a PNG; return its path."""
+        # a picture is the only call that goes up, through this one door
+        from plantsim.view.figures import figure_material  # noqa: PLC0415
+
+        return figure_material(self, np.asarray(self.region), out, label="limb")
+
     @property
     def curved(self) -> bool:
         """Whether any midside node is off the middle of its edge."""
@@ -245,7 +286,8 @@ class TetMesh:
 
         A mesh that has that order already is returned as it is, curved edges and all. Ids
         of corner vertices stay when going up; going down, vertices are numbered anew in
-        their order. A set gains the middle of an edge of which it has both ends.
+        their order. A set gains the middle of an edge of which it has both ends; one on the
+        surface gains middles on the surface only.
         """
         if order not in (1, 2):
             raise MeshError(f"order is {order!r}; give 1 or 2.")
@@ -256,10 +298,15 @@ class TetMesh:
         points, tets, edges = quadratic(self.points, self.tets)
         n = len(self.points)
         sets = {}
+        outside = np.zeros(len(points), dtype=bool)
+        outside[boundary(tets)] = True
         for name, ids in self.sets.items():
             inside = np.zeros(n, dtype=bool)
             inside[ids] = True
-            sets[name] = np.append(ids, n + np.flatnonzero(inside[edges].all(axis=1)))
+            gained = inside[edges].all(axis=1)
+            if outside[ids].all():
+                gained &= outside[n:]
+            sets[name] = np.append(ids, n + np.flatnonzero(gained))
         return replace(self, points=points, tets=tets, sets=sets)
 
     def _compact(self, tets: Array) -> Self:
@@ -287,13 +334,6 @@ class TetMesh:
         )
 
 
-_CORNERS = np.vstack([np.zeros(3), np.eye(3)])
-# The ten nodes, drawn a tenth of the way to the centre, where a curved tet must not be
-# folded. At a corner itself det J is zero where two edges lie on one smooth curve of the
-# surface, which does no harm: no integration point is there.
-INNER = 0.9 * np.vstack([_CORNERS, _CORNERS[EDGES].mean(axis=1)]) + 0.1 / 4
-
-
 def quadratic(points: Array, tets: Array) -> tuple[Array, Array, Array]:
     """Return points and tets of order 2, edges straight, and the ends (k, 2) of each edge.
 
@@ -307,14 +347,19 @@ def quadratic(points: Array, tets: Array) -> tuple[Array, Array, Array]:
     return np.vstack([points, middles]), np.hstack([tets, n + where.reshape(-1, 6)]), edges
 
 
-def boundary(tets: Array, faces: tuple[Array, Array] | None = None) -> Array:
+def boundary(tets: Array, places: Array | None = None) -> Array:
     """Return the outer triangles (k, 3 | 6) of tets, outward, in the order of the tets."""
-    corners = tets[:, FACES].reshape(-1, 3)
-    first, count = faces or unique_rows(np.sort(corners, axis=1))
-    outer = np.sort(first[count == 1])
+    places = boundary_places(tets) if places is None else places
+    corners = tets[:, FACES].reshape(-1, 3)[places]
     if tets.shape[1] == 4:
-        return corners[outer]
-    return np.hstack([corners[outer], tets[:, FACE_MIDS].reshape(-1, 3)[outer]])
+        return corners
+    return np.hstack([corners, tets[:, FACE_MIDS].reshape(-1, 3)[places]])
+
+
+def boundary_places(tets: Array) -> Array:
+    """Return the places (k,), tet times four and face, of the outer triangles."""
+    first, count = unique_rows(np.sort(tets[:, FACES].reshape(-1, 3), axis=1))
+    return np.sort(first[count == 1])
 
 
 def compact(
@@ -328,59 +373,6 @@ def compact(
     return points[used], new[tets], kept
 
 
-def gamma(x: Array) -> Array:
-    """Return 3 inradius / circumradius of tets (..., 4, 3), signed as the volume.
-
-    This is gmsh's quality measure "gamma".
-    """
-    corners = np.ascontiguousarray(np.moveaxis(x, (-2, -1), (0, 1)))
-    u, v, w = corners[1:] - corners[0]
-    uv, uw, vw = _cross(u, v), _cross(u, w), _cross(v, w)
-    volume = (uv * w).sum(axis=0) / 6
-    faces = sum(_norm(n) for n in (uv, uw, vw, uv - uw + vw)) / 2
-    sides = [(_norm(a), _norm(b)) for a, b in ((u, v - w), (v, u - w), (w, u - v))]
-    p, q, r = (a * b for a, b in sides)
-    # 24 V R = sqrt of this product, for the circumradius R
-    product = (p + q + r) * (-p + q + r) * (p - q + r) * (p + q - r)
-    # where the corners are nearly on one circle the root is noise, but R is half the
-    # longest edge at least
-    longest = np.max([s for pair in sides for s in pair], axis=0)
-    root = np.maximum(np.sqrt(np.maximum(product, 0)), 12 * np.abs(volume) * longest)
-    tiny = np.finfo(float).tiny
-    return np.sign(volume) * 216 * volume**2 / np.maximum(root * faces, tiny)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return cross products of vectors (3, ...) by components."""
-    return np.stack([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
-
-
-def _norm(a: Array) -> Array:
-    return np.sqrt((a**2).sum(axis=0))
-
-
-def jacobians(points: Array, tets: Array, at: Array) -> Array:
-    """Return det J (m, k) of quadratic tets at reference points (k, 3)."""
-    shape = _gradients(at).transpose(2, 0, 1).reshape(-1, 10)  # (3 k, 10)
-    x, y, z = (
-        (shape @ points[:, axis][tets.T]).reshape(3, len(at), -1) for axis in range(3)
-    )
-    J = x[0] * (y[1] * z[2] - y[2] * z[1])
-    J += x[1] * (y[2] * z[0] - y[0] * z[2])
-    J += x[2] * (y[0] * z[1] - y[1] * z[0])
-    return J.T
-
-
-def _gradients(at: Array) -> Array:
-    """Return reference gradients (k, 10, 3) of the quadratic shape functions."""
-    grad_l = np.vstack([-np.ones(3), np.eye(3)])
-    l = np.column_stack([1 - at.sum(axis=1), at])  # noqa: E741
-    corner = (4 * l - 1)[:, :, None] * grad_l
-    i, j = EDGES.T
-    middle = 4 * (l[:, i, None] * grad_l[j] + l[:, j, None] * grad_l[i])
-    return np.concatenate([corner, middle], axis=1)
-
-
 def _two(x: Array) -> tuple[Array, Array]:
     return x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
 
@@ -388,6 +380,9 @@ def _two(x: Array) -> tuple[Array, Array]:
 def unique_rows(rows: Array) -> tuple[Array, Array]:
     """Return first index and count of each distinct row of a non-negative int array."""
     n = int(rows.max()) + 1
+    if n ** rows.shape[1] >= 2**63:  # too many for one key
+        _, first, count = np.unique(rows, axis=0, return_index=True, return_counts=True)
+        return first, count
     key = rows[:, 0].astype(np.int64)
     for column in rows.T[1:]:
         key = key * n + column

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +20,25 @@ import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.errors import FileError, MeshError
+from plantsim.solid.apart import MARK, end_with, quiet_output
 from plantsim.solid.geo_script import CAD, check_opened
+from plantsim.solid.parameters import with_parameters
 
 OPENED = (".geo", ".geo_unrolled", *CAD[:-1])
-MARK = "plantsim-error:"
 
 
 def open_geometry(
-    path: Path, size: float, order: int, *, trust: bool, timeout: float
-) -> tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array]]:
+    path: Path,
+    size: float,
+    order: int,
+    *,
+    trust: bool,
+    timeout: float,
+    parameters: Mapping[str, float | str] | None = None,
+) -> tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array], dict[str, int]]:
     """Return points, tets, region, region names and sets of a geometry file.
+
+    Last, how many elements of its volumes are no tets and were left out, by kind.
 
     Raises FileError for a suffix that is not known or a script that is refused, and
     MeshError when gmsh fails, crashes or takes longer than `timeout` seconds.
@@ -48,17 +58,32 @@ def open_geometry(
             shutil.copyfile(path, opened)
         if not trust:
             check_opened(opened)
+        if parameters:
+            if suffix != ".geo":
+                raise FileError(
+                    f"{path}: only .geo scripts have parameters. Leave them out."
+                )
+            text = with_parameters(opened, parameters)
+            opened = Path(folder) / "with_parameters.geo"
+            opened.write_bytes(text.encode("latin-1", errors="replace"))
         request = {"path": str(opened), "size": size, "order": order, "trust": trust}
         data = _child(path, request, timeout)
     names = tuple(str(n) for n in data["names"])
     sets = {k.removeprefix("set:"): v for k, v in data.items() if k.startswith("set:")}
-    return data["points"], data["tets"], data.get("region"), names, sets
+    others = json.loads(str(data["others"]))
+    return data["points"], data["tets"], data.get("region"), names, sets, others
 
 
 def _child(path: Path, request: dict[str, Any], timeout: float) -> dict[str, Array]:
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "plantsim.solid.foreign", json.dumps(request)],
+            [
+                sys.executable,
+                "-m",
+                "plantsim.solid.foreign",
+                json.dumps(request),
+                str(os.getpid()),
+            ],
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=timeout,
@@ -92,10 +117,12 @@ def _work(request: dict[str, Any]) -> bytes:
         gmsh_model.open_file(request["path"])
         gmsh_model.mesh_opened(request["size"], request["order"])
         points, tets, region, names, sets = gmsh_model.arrays(request["order"])
+        others = json.dumps(gmsh_model.left_out())
     out: dict[str, Any] = {
         "points": points,
         "tets": tets,
         "names": np.array(names, dtype=str),
+        "others": np.array(others),
     }
     if region is not None:
         out["region"] = region
@@ -107,9 +134,8 @@ def _work(request: dict[str, Any]) -> bytes:
 
 def main() -> None:
     """Serve one request: arrays to standard output, the kernels' chatter to nowhere."""
-    result = os.fdopen(os.dup(1), "wb")
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    end_with(int(sys.argv[2]))
+    result = quiet_output()
     try:
         packed = _work(json.loads(sys.argv[1]))
     except Exception as why:  # whatever it is, the parent tells it in a sentence

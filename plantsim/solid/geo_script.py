@@ -25,7 +25,7 @@ DEADLY = (
     b"CommandLine Plugin StringToName S2N"
 ).split()
 FILES = frozenset("Include Merge MergeFile MergeWithBoundingBox Open ShapeFromFile".split())
-SCRIPTS = (".geo", ".geo_unrolled", ".inc", ".txt", ".dat")
+SCRIPTS = (".geo", ".geo_unrolled", ".inc", ".txt", ".dat", ".pos")
 CAD = (
     ".step",
     ".stp",
@@ -37,7 +37,7 @@ CAD = (
 # gmsh passes over what an If, For or Macro leaves out by another scanner, which loses
 # characters
 SKIPPING = ("If", "For", "Macro", "Function", "Else", "ElseIf")
-_TOKEN = re.compile(
+TOKEN = re.compile(
     r"""(?P<comment>//[^\n]*|/\*.*?\*/)|(?P<string>"[^"]*"|'[^']*')"""
     r"""|(?P<word>[A-Za-z_]\w*)|(?P<open>/\*|["'])|(?P<other>\s+|.)""",
     re.DOTALL,
@@ -61,12 +61,12 @@ def check_script(path: Path, folder: Path | None = None, depth: int = 0) -> None
     if "\0" in text or "\r" in text:
         raise FileError(f"{path}: NUL or bare CR bytes, so no plain gmsh script. Clean it.")
     words: list[tuple[str, str]] = []
-    for token in _TOKEN.finditer(text):
+    for token in TOKEN.finditer(text):
         kind, value = token.lastgroup or "", token.group()
         if kind == "open":
             raise FileError(f"{path}: a comment or string is never closed. Close it.")
         if kind == "string":
-            _check_string(path, value)
+            check_string(path, value)
         if kind != "comment" and not value.isspace():
             words.append((kind, value))
     if any(kind == "word" and value in SKIPPING for kind, value in words):
@@ -76,7 +76,8 @@ def check_script(path: Path, folder: Path | None = None, depth: int = 0) -> None
     _check_words(path, folder, depth, words)
 
 
-def _check_string(path: Path, value: str) -> None:
+def check_string(path: Path, value: str) -> None:
+    """Raise FileError for a string, with its quotes, that gmsh could stumble over."""
     if len(value) > LONGEST or "\n" in value:
         raise FileError(f"{path}: a string over {LONGEST} characters or lines. Shorten it.")
     if "%" in _CONVERSION.sub("", value):
@@ -130,11 +131,23 @@ def _check_included(
             f"{', '.join((*SCRIPTS, '.msh', *CAD))} in small letters are read. Rename the "
             "file."
         )
-    check_opened(existing(target), folder, depth + 1)
+    check_opened(existing(path.parent / name), folder, depth + 1)
 
 
 def check_opened(path: Path, folder: Path | None = None, depth: int = 0) -> None:
-    """Raise FileError unless gmsh can open the file without running code."""
+    """Raise FileError unless gmsh can open the file without running code.
+
+    Beside any file of whatever kind gmsh reads FILE.opt, a script, if there is one.
+    """
+    for name in {path, path.resolve()}:
+        options = name.with_name(name.name + ".opt")
+        if options.exists():
+            if depth > 20:
+                raise FileError(f"{options}: over 20 files deep. Remove it.")
+            check_script(options, folder, depth + 1)
+            check_opened(options, folder, depth + 1)
+    if path.suffix == ".opt":
+        return
     if path.suffix in CAD:
         return
     with path.open("rb") as f:

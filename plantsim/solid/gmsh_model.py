@@ -67,12 +67,16 @@ def session(**options: float) -> Iterator[Any]:
 
 
 def fused_surface(
-    lofts: Sequence[list[Ring]], seams: Sequence[Ring], around: int
+    lofts: Sequence[list[Ring]],
+    seams: Sequence[Ring],
+    around: int,
+    ground: tuple[Array, float] | None = None,
 ) -> tuple[Array, Array]:
     """Return points and triangles of lofts through circles, fused, open at the seams.
 
     Every seam is a circle that ends a loft; it gets `around` points, the first on the
-    ring's first direction. Sizes follow the curvature: `around` points a circle.
+    ring's first direction. Sizes follow the curvature: `around` points a circle. `ground`
+    is the centre of a foot and how far from it all below is cut off.
     """
     radii = [r for rings in lofts for _, r, _, _ in rings]
     edge = 2 * np.pi / around
@@ -88,7 +92,12 @@ def fused_surface(
     ):
         volumes = [_loft(rings) for rings in lofts]
         if len(volumes) > 1:
-            gmsh.model.occ.fuse(volumes[:1], volumes[1:])
+            volumes, _ = gmsh.model.occ.fuse(volumes[:1], volumes[1:])
+        if ground is not None:
+            (x, y, z), reach = ground
+            away = 2 * reach
+            soil = gmsh.model.occ.addBox(x - reach, y - reach, z - away, away, away, away)
+            gmsh.model.occ.cut(volumes, [(3, soil)])
         gmsh.model.occ.synchronize()
         ends = _end_faces(seams, around)
         _size_points(lofts, edge)
@@ -232,6 +241,16 @@ def mesh_opened(size: float, order: int) -> None:
     gmsh.model.mesh.setOrder(order)
 
 
+def left_out() -> dict[str, int]:
+    """Return how many elements of volumes are no tetrahedra, by gmsh's names of kinds."""
+    out = {}
+    for kind in gmsh.model.mesh.getElementTypes(3):
+        if kind not in TETS.values():
+            name = gmsh.model.mesh.getElementProperties(kind)[0]
+            out[name] = len(gmsh.model.mesh.getElementsByType(kind)[0])
+    return out
+
+
 Arrays = tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array]]
 
 
@@ -255,13 +274,6 @@ def arrays(order: int) -> Arrays:
         _, nodes = gmsh.model.mesh.getElementsByType(TETS[order], entity)
         return row[nodes.astype(np.int64)].reshape(-1, 4 if order == 1 else 10)
 
-    others = [t for t in gmsh.model.mesh.getElementTypes(3) if t not in TETS.values()]
-    if others:
-        kind = gmsh.model.mesh.getElementProperties(others[0])[0]
-        raise MeshError(
-            f"gmsh: there are {kind} elements besides tetrahedra. Mesh without "
-            "recombination or extruded layers."
-        )
     parts: list[Array] = []
     names: list[str] = []
     if volumes:
@@ -276,7 +288,11 @@ def arrays(order: int) -> Arrays:
     else:
         parts = [cells(tag) for _, tag in gmsh.model.getEntities(3)]
     if not sum(map(len, parts)):
-        raise MeshError("gmsh: no tetrahedra. Does the geometry have a volume?")
+        there = ", ".join(left_out()) or "none"
+        raise MeshError(
+            f"gmsh: no tetrahedra (elements of volumes: {there}). Give the geometry a "
+            "volume, and mesh it without recombination or extruded layers."
+        )
     tets = np.concatenate(parts)
     region = np.repeat(np.arange(len(parts)), [len(p) for p in parts]) if volumes else None
     if order == 2:

@@ -31,8 +31,10 @@ class Stretch:
 def stretches(solid: Solid) -> list[Stretch]:
     """Return every tube cut into stretches, free or near others, tube by tube."""
     out = []
+    upright = float(np.clip(-solid.foot[1] @ solid.tubes[0].tangent(0.0), 0.1, 1))
     for i, (tube, near) in enumerate(zip(solid.tubes, _near(solid), strict=True)):
-        cuts = _intervals(tube, near)
+        # the rim of a foot that leans runs up the trunk
+        cuts = _intervals(tube, near, 0.0 if i else 1.5 * float(np.tan(np.arccos(upright))))
         u = 0.0
         for a, b in cuts:
             if a > u:
@@ -88,8 +90,11 @@ def _circles(x: Array, t: Array, r: Array) -> Array:
     return x[:, None] + r[:, None, None] * spoke
 
 
-def _intervals(tube: Tube, near: Array) -> list[tuple[float, float]]:
-    """Return near stretches (u from, u to), padded, merged, snapped to the ends."""
+def _intervals(tube: Tube, near: Array, rim: float) -> list[tuple[float, float]]:
+    """Return near stretches (u from, u to), padded, merged, snapped to the ends.
+
+    `rim` [radii] is kept free at the start besides.
+    """
     u, r = tube.stations, tube.radius(tube.stations)
     s = np.r_[0, np.cumsum(np.linalg.norm(np.diff(tube.axis(u), axis=0), axis=1))]
     edges = np.flatnonzero(np.diff(np.r_[False, near, False].astype(int)))
@@ -103,7 +108,7 @@ def _intervals(tube: Tube, near: Array) -> list[tuple[float, float]]:
             spans.append([a, b])
     out = []
     for a, b in spans:
-        start = 0.0 if a < END * r[0] else float(np.interp(a, s, u))
+        start = 0.0 if a < (END + rim) * r[0] else float(np.interp(a, s, u))
         end = 1.0 if b > s[-1] - END * r[-1] else float(np.interp(b, s, u))
         out.append((start, end))
     return out

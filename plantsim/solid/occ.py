@@ -33,24 +33,36 @@ def surface(
     """
     parts: list[tuple[Array, Array]] = []
     lofts: list[list[Ring]] = []
+    ground: tuple[Array, float] | None = None
     open_: list[tuple[bool, bool]] = []  # whether a loft meets rings at its start, end
     cuts = (
         [Stretch(i, 0.0, 1.0, True) for i in range(len(solid.tubes))]
         if whole
         else stretches(solid)
     )
+    foot = solid.foot[1]
+    lean = _lean(solid)
     for i, tube in enumerate(solid.tubes):
         mine = [cut for cut in cuts if cut.tube == i]
         for cut, rings in zip(
-            mine, _rings(tube, mine, turn * (1 + i), grow, around), strict=True
+            mine,
+            _rings(tube, mine, turn * (1 + i), grow, around, 0.0 if i else lean),
+            strict=True,
         ):
             if cut.joint:
+                if cut.start == 0 and not i and lean:  # to be cut by the ground
+                    x, r, t, n = rings[0]
+                    rings = [(x - (lean + 0.2) * r * t, r, t, n), *rings]  # noqa: PLW2901
+                    ground = solid.foot[0], 2 * r / np.cos(np.arctan(lean))
                 lofts.append(rings)
                 open_.append((cut.start > 0, cut.end < 1))
                 continue
             last = "open" if cut.end < 1 else ("apex" if tube.round_tip else "flat")
             first = "flat" if cut.start == 0 else "open"
-            parts.append(skin(rings, around, first=first, last=last, even=last == "open"))
+            level = foot if cut.start == 0 and not i else None
+            parts.append(
+                skin(rings, around, first=first, last=last, even=last == "open", foot=level)
+            )
     if lofts:
         lofts = _turned_away(lofts, around)
         seams = [
@@ -59,14 +71,23 @@ def surface(
             for end, here in zip((0, -1), ends, strict=True)
             if here
         ]
-        parts.append(gmsh_model.fused_surface(lofts, seams, around))
+        parts.append(gmsh_model.fused_surface(lofts, seams, around, ground))
     return _joined(parts)
 
 
+def _lean(solid: Solid) -> float:
+    """Return how far the foot's rim runs along the trunk, in radii."""
+    cosine = min(1.0, float(-solid.foot[1] @ solid.tubes[0].tangent(0.0)))
+    return float(np.tan(np.arccos(cosine))) if cosine < 1 - 1e-12 else 0.0
+
+
 def _rings(
-    tube: Tube, cuts: list[Stretch], seam: float, grow: float, around: int
+    tube: Tube, cuts: list[Stretch], seam: float, grow: float, around: int, lean: float
 ) -> list[list[Ring]]:
-    """Return the rings of each stretch of a tube; neighbours share one."""
+    """Return the rings of each stretch of a tube; neighbours share one.
+
+    The second ring keeps clear of a first that leans over by `lean` radii.
+    """
     spacing = STEP * 2 * np.pi / around
     us = [
         sections(tube, cut.start, cut.end)
@@ -74,6 +95,11 @@ def _rings(
         else stations(tube, cut.start, cut.end, spacing)
         for cut in cuts
     ]
+    if lean and not cuts[0].joint:
+        room = (lean + 0.5) * float(tube.radius(0.0))
+        inner = us[0][1:-1]
+        away = np.linalg.norm(tube.axis(inner) - tube.axis(0.0), axis=1)
+        us[0] = np.r_[us[0][0], inner[away > room], us[0][-1]]
     u = np.concatenate([us[0], *(part[1:] for part in us[1:])])
     x, t, n = frames(tube, u, seam)
     r = grow * tube.radius(u)

@@ -6,7 +6,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
-from plantsim.mesh.tetmesh import INNER, boundary, gamma, jacobians
+from plantsim.mesh.tetmesh import (
+    FACES,
+    INNER,
+    boundary,
+    boundary_places,
+    gamma,
+    jacobians,
+)
 from plantsim.solid.sweep import Solid, Tube
 
 
@@ -87,6 +94,11 @@ def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
     stretch = ratio[ends].mean(axis=1) / now
     target = points.copy()
     target[middle] = foot + (points[middle] - foot) * stretch[:, None]
+    # the rim of a level foot stays level
+    rim = middle[on_foot(solid, points[corners])[ends].all(axis=1)]
+    centre, normal = solid.foot
+    way = solid.tubes[0].tangent(0.0)
+    target[rim] -= ((target[rim] - centre) @ normal / (way @ normal))[:, None] * way
     return _unfold(target, points, tets)
 
 
@@ -123,13 +135,49 @@ def on_disc(tube: Tube, u: float, points: Array) -> Array:
     )
 
 
+def on_foot(solid: Solid, points: Array) -> Array:
+    """Mask the points (n, 3) on the foot."""
+    centre, normal = solid.foot
+    trunk = solid.tubes[0]
+    r = float(trunk.radius(0.0))
+    off = points - centre
+    reach = 1.3 * r / abs(normal @ trunk.tangent(0.0))
+    return (np.abs(off @ normal) < 1e-6 * r) & (np.linalg.norm(off, axis=-1) < reach)
+
+
 def flat_ends(solid: Solid, points: Array) -> Array:
     """Mask the points (n, 3) on the foot and on flat tips."""
-    flat = on_disc(solid.tubes[0], 0.0, points)
+    flat = on_foot(solid, points)
     for tube in solid.tubes:
         if not tube.round_tip:
             flat |= on_disc(tube, 1.0, points)
     return flat
+
+
+def limb_sets(solid: Solid, points: Array, tets: Array, region: Array) -> dict[str, Array]:
+    """Return the sets "base", "tips" and, for every limb, its surface: "limb NAME".
+
+    "tips": the flat ends of limbs cut flat, the rounded caps of others; limbs that carry
+    another at their tip have none.
+    """
+    places = boundary_places(tets)
+    faces, behind = boundary(tets, places), region[places // len(FACES)]
+    outer = np.unique(faces)
+    x = points[outer]
+    tips = np.zeros(len(outer), dtype=bool)
+    carries = {t.parent for t in solid.tubes if t.joint > 1 - 1e-6}
+    for i, tube in enumerate(solid.tubes):
+        if i not in carries:
+            r = float(tube.radius(1.0))
+            off = x - tube.axis(1.0)
+            near = (off**2).sum(axis=1) < (1.3 * r) ** 2
+            tips |= near & (off @ tube.tangent(1.0) > -1e-6 * r)
+    sets = {"base": np.flatnonzero(on_foot(solid, points)), "tips": outer[tips]}
+    order = np.argsort(behind, kind="stable")
+    cuts = np.searchsorted(behind[order], np.arange(1, len(solid.tubes)))
+    for tube, rows in zip(solid.tubes, np.split(order, cuts), strict=True):
+        sets[f"limb {tube.name}"] = np.unique(faces[rows])
+    return sets
 
 
 def on_axis(

@@ -89,13 +89,20 @@ def dome(ring: Ring) -> list[Ring]:
 
 
 def skin(
-    rings: list[Ring], count: int, *, first: str, last: str, even: bool
+    rings: list[Ring],
+    count: int,
+    *,
+    first: str,
+    last: str,
+    even: bool,
+    foot: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return points and outward triangles of a tube through rings of `count` points.
 
     Rings are turned by half a step in turn, the first not at all; with `even` the last is
     not either, so that it meets another kernel's ring. `first` and `last`: "open", "flat"
-    (closed by a fan) or "apex" (closed by a point one radius ahead of the tip).
+    (closed by a fan) or "apex" (closed by a point one radius ahead of the tip). `foot` is
+    the normal of the plane that the first ring is slid onto, along the tube.
     """
     step = 2 * np.pi / count
     turned = [(i % 2) / 2 for i in range(len(rings))]
@@ -105,7 +112,10 @@ def skin(
     a = (np.arange(count) + np.array(turned)[:, None]) * step
     b = np.cross(t, n)[:, None]
     spoke = np.cos(a)[:, :, None] * n[:, None] + np.sin(a)[:, :, None] * b
-    points = [(x[:, None] + r[:, None, None] * spoke).reshape(-1, 3)]
+    spoke *= r[:, None, None]
+    if foot is not None:
+        spoke[0] -= (spoke[0] @ foot / (t[0] @ foot))[:, None] * t[0]
+    points = [(x[:, None] + spoke).reshape(-1, 3)]
     j = np.arange(count)
     k = (j + 1) % count
     low = count * np.arange(len(rings) - 1)[:, None]

@@ -1,14 +1,14 @@
 """Skeleton -> Solid: an immutable recipe of swept limbs, bends and joints checked."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import minimize_scalar
 
-from plantsim.arrays import Array, frozen
+from plantsim.arrays import Array, few, frozen
 from plantsim.errors import GeometryError
 from plantsim.plant.skeleton import Limb, Skeleton
 
@@ -18,6 +18,8 @@ SWING = (
     1.0  # largest distance of the axis from its nodes' polyline [radii, or 0.15 segments]
 )
 BEND = 0.95  # largest radius / bend radius: beyond 1 a tube crosses itself
+LEAN = np.radians(45.0)  # a trunk that leans more is cut square at its foot, not level
+S = TypeVar("S", bound="Solid")
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +197,70 @@ class Solid:
             out.append(float(np.trapezoid(area, u)))
         return tuple(out)
 
+    @cached_property
+    def foot(self) -> tuple[Array, Array]:
+        """Centre of the flat foot and its unit normal, out of the plant.
+
+        Level, as the ground is, where the trunk leans by less than 45 degrees; else square
+        to the trunk.
+        """
+        trunk = self.tubes[0]
+        way = trunk.tangent(0.0)
+        level = way[2] > np.cos(LEAN)
+        return trunk.axis(0.0), np.array([0.0, 0.0, -1.0]) if level else -way
+
+    def check(self) -> tuple[str, ...]:
+        """Return what is wrong with the solid, a sentence each: bends, joints, burials."""
+        faults = [_bend_fault(tube) for tube in self.tubes]
+        for tube in self.tubes:
+            if tube.parent >= 0:
+                parent = self.tubes[tube.parent]
+                joint, away = parent.nearest(tube.points[0])
+                faults.append(_joint_fault(tube, parent, joint, away))
+        faults += [
+            f"limb {tube.name} never leaves its parent. Lengthen it, or drop it with "
+            "skeleton.pruned(min_radius=...)."
+            for tube, end in zip(self.tubes, self.emergence, strict=True)
+            if end >= 1
+        ]
+        return tuple(fault for fault in faults if fault)
+
+    def with_tips(self, tips: Tips) -> Self:
+        """Return the solid with its limbs' tips rounded or cut flat.
+
+        A limb that carries another at its tip is rounded in either case.
+        """
+        if tips not in ("round", "flat"):
+            raise GeometryError(f"tips is {tips!r}; give 'round' or 'flat'.")
+        carries = {t.parent for t in self.tubes if t.joint > 1 - 1e-6}
+        return replace(
+            self,
+            tubes=tuple(
+                replace(t, round_tip=tips == "round" or i in carries)
+                for i, t in enumerate(self.tubes)
+            ),
+        )
+
+    def with_radius(self, factor: float, limb: str | None = None) -> Self:
+        """Return the solid with the radii of one limb, or of all, times a factor.
+
+        Raises GeometryError where the limbs then do not fit each other or their bends.
+        """
+        if limb is not None and limb not in [t.name for t in self.tubes]:
+            raise GeometryError(
+                f"there is no limb {limb!r}. The limbs are "
+                f"{few(t.name for t in self.tubes)}."
+            )
+        return _sound(
+            replace(
+                self,
+                tubes=tuple(
+                    replace(t, radii=factor * t.radii) if limb in (None, t.name) else t
+                    for t in self.tubes
+                ),
+            )
+        )
+
     def __repr__(self) -> str:
         thin = min(t.radii.min() for t in self.tubes)
         count = len(self.tubes)
@@ -205,64 +271,64 @@ def sweep(skeleton: Skeleton, *, tips: Tips = "round") -> Solid:
     """Return the solid of a skeleton: a tapered tube along every limb.
 
     `tips="round"` ends a limb in a dome about its last point; `"flat"` cuts it off there. A
-    limb that carries another at its tip is rounded in either case. A limb's start is moved
-    onto its parent's smooth axis.
+    limb that carries another at its tip is rounded in either case. The trunk's foot is cut
+    flat, level with the ground unless it leans by 45 degrees and more. A limb's start is
+    moved onto its parent's smooth axis.
 
     Raises GeometryError, naming the limb, where a limb is thicker than its bend allows,
     swallowed by its parent, too thick for it, or does not start on its parent's axis.
     """
-    if tips not in ("round", "flat"):
-        raise GeometryError(f"tips is {tips!r}; give 'round' or 'flat'.")
     tubes: list[Tube] = []
     for limb in skeleton.limbs:
         points, joint = limb.points, 0.0
         if limb.parent >= 0:
             parent = tubes[limb.parent]
-            joint, distance = parent.nearest(points[0])
-            _check_joint(limb, parent, joint, distance)
+            joint, away = parent.nearest(points[0])
+            _refuse(_joint_fault(limb, parent, joint, away))
             points = np.vstack([parent.axis(joint), points[1:]])
-        tube = Tube(limb.name, limb.parent, points, limb.radius, joint, tips == "round")
-        _check_bend(tube)
+        tube = Tube(limb.name, limb.parent, points, limb.radius, joint)
+        _refuse(_bend_fault(tube))
         tubes.append(tube)
-    carries = {t.parent for t in tubes if t.joint > 1 - 1e-6}
-    if tips == "flat" and carries:
-        tubes = [
-            Tube(t.name, t.parent, t.points, t.radii, t.joint, i in carries)
-            for i, t in enumerate(tubes)
-        ]
-    solid = Solid(tuple(tubes))
-    for tube, end in zip(solid.tubes, solid.emergence, strict=True):
-        if end >= 1:
-            raise GeometryError(
-                f"limb {tube.name} never leaves its parent. Lengthen it, or drop it with "
-                "skeleton.pruned(min_radius=...)."
-            )
+    return _sound(Solid(tuple(tubes))).with_tips(tips)
+
+
+def _sound(solid: S) -> S:
+    """Return the solid, or raise the first of its faults."""
+    for fault in solid.check():
+        raise GeometryError(fault)
     return solid
 
 
-def _check_bend(tube: Tube) -> None:
+def _refuse(fault: str) -> None:
+    if fault:
+        raise GeometryError(fault)
+
+
+def _bend_fault(tube: Tube) -> str:
     u = np.unique(np.r_[tube.stations, np.linspace(0, 1, 400)])
     bend = tube.curvature(u) * tube.radius(u)
     worst = int(bend.argmax())
-    if bend[worst] > BEND:
-        radius = float(tube.radius(u[worst]))
-        allowed = BEND * radius / bend[worst]
-        raise GeometryError(
-            f"limb {tube.name}: radius {radius:.3g} m where it bends with a radius of "
-            f"{radius / bend[worst]:.3g} m, so the tube would cross itself. "
-            f"Thin it below {allowed:.3g} m there, or give the bend more room."
-        )
+    if bend[worst] <= BEND:
+        return ""
+    radius = float(tube.radius(u[worst]))
+    return (
+        f"limb {tube.name}: radius {radius:.3g} m where it bends with a radius of "
+        f"{radius / bend[worst]:.3g} m, so the tube would cross itself. Thin it below "
+        f"{BEND * radius / bend[worst]:.3g} m there, or give the bend more room."
+    )
 
 
-def _check_joint(limb: Limb, parent: Tube, joint: float, distance: float) -> None:
+def _joint_fault(limb: Limb | Tube, parent: Tube, joint: float, away: float) -> str:
     thick = float(parent.radius(joint))
-    if distance > 0.7 * thick:
-        raise GeometryError(
-            f"limb {limb.name} starts {distance:.3g} m off the axis of limb {parent.name} "
+    radii = limb.radii if isinstance(limb, Tube) else limb.radius
+    if away > 0.7 * thick:
+        return (
+            f"limb {limb.name} starts {away:.3g} m off the axis of limb {parent.name} "
             f"(radius {thick:.3g} m). Start it on its parent's axis."
         )
-    if limb.base_radius > JOINT * thick:
-        raise GeometryError(
-            f"limb {limb.name} is {limb.base_radius:.3g} m thick (radius) where limb "
+    if radii[0] > JOINT * thick * (1 + 1e-9):
+        return (
+            f"limb {limb.name} is {radii[0]:.3g} m thick (radius) where limb "
             f"{parent.name} is {thick:.3g} m. Make it at most {JOINT * thick:.3g} m there."
         )
+    return ""

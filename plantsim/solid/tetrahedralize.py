@@ -3,7 +3,7 @@
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,9 +13,9 @@ from plantsim.arrays import Array
 from plantsim.errors import MeshError
 from plantsim.mesh.tetmesh import TetMesh, quadratic
 from plantsim.paths import existing
-from plantsim.solid import gmsh_model, occ
+from plantsim.solid import apart, gmsh_model, occ
 from plantsim.solid.foreign import open_geometry
-from plantsim.solid.quality import curve, flat_ends, on_axis, on_disc, repair
+from plantsim.solid.quality import curve, flat_ends, limb_sets, on_axis, repair
 from plantsim.solid.soundness import check_sound
 from plantsim.solid.sweep import Solid
 
@@ -42,21 +42,26 @@ def tetrahedralize(
     order: int = 2,
     kernel: Literal["occ"] = "occ",
     trust: bool = False,
-    timeout: float = 600.0,
+    timeout: float | None = None,
+    parameters: Mapping[str, float | str] | None = None,
 ) -> TetMesh:
     """Return a tetrahedral mesh of a Solid, or of a .geo, .step, .stp, .brep or .iges file.
 
     For a Solid: `size` is the edge length over the local radius (default 0.9). Order-2 tets
-    are curved onto the tubes. Regions are the limbs, tets sorted by them; the set "base" is
-    the vertices of the foot. `mesh.report` lists the attempts, what was repaired, and the
-    seconds.
+    are curved onto the tubes. Regions are the limbs, tets sorted by them; the sets are
+    "base" (the foot), "tips" and the surface of each limb, "limb NAME". `mesh.report`
+    lists the attempts, what was repaired, and the seconds.
 
     For a file: `size` scales the sizes that the file sets (default 1); its physical volumes
-    become regions and its other physical groups vertex sets. A script that could run
-    programs or write files is refused unless `trust=True`.
+    become regions and its other physical groups vertex sets. `parameters` takes the place
+    of values that a .geo script sets itself, as L = 1; or in a DefineConstant. A script
+    that could run programs or write files is refused unless `trust=True`.
+
+    `timeout` [s] is the longest that meshing may take. A file goes to a child process in
+    any case (600 s), a Solid only if it is given.
 
     Raises FileError for a file that is missing, foreign or refused, and MeshError when no
-    attempt gave one sound mesh (worst gamma 0.05, every limb present).
+    attempt gave one sound mesh (what that is: `plantsim.solid.soundness`).
     """
     if order not in (1, 2):
         raise MeshError(f"order is {order!r}; give 1 or 2.")
@@ -66,7 +71,12 @@ def tetrahedralize(
         raise MeshError(f"size is {size}; give a factor from 0.1 to 10.")
     if not isinstance(geometry, Solid):
         path = existing(geometry)
-        return _from_file(path, 1.0 if size is None else size, order, trust, timeout)
+        given = {"trust": trust, "timeout": timeout or 600.0, "parameters": parameters}
+        return _from_file(path, 1.0 if size is None else size, order, **given)
+    if trust or parameters:
+        raise MeshError("trust and parameters are for files. Leave them out for a Solid.")
+    if timeout is not None:
+        return apart.tetrahedralized(geometry, size, order, kernel, timeout)
     attempts: list[dict[str, Any]] = []
     report: dict[str, Any] = {"kernel": kernel, "attempts": attempts}
     around = AROUND if size is None else max(4, round(2 * np.pi / size))
@@ -114,6 +124,7 @@ def grow(around: int, order: int) -> float:
 
 def _timed(note: dict[str, Any], step: str, act: Callable[..., Any], *args: Any) -> Any:
     """Call `act` and note its seconds; so also where it fails."""
+    log.info("%s ...", step)
     began = time.perf_counter()
     try:
         return act(*args)
@@ -136,23 +147,19 @@ def _finished(
         points, tets, _ = quadratic(points, tets)
         points, note["flattened"] = _timed(note, "curve", curve, points, tets, solid)
     names = tuple(t.name for t in solid.tubes)
-    base = {"base": _foot(solid, points)}
-    mesh = _timed(note, "check", TetMesh, points, tets, region, base, names, report)
+    sets = limb_sets(solid, points, tets, region)
+    mesh = _timed(note, "check", TetMesh, points, tets, region, sets, names, report)
     note["genus"] = _timed(note, "soundness", check_sound, solid, mesh)
     return mesh
 
 
-def _foot(solid: Solid, points: Array) -> Array:
-    """Return the vertices on the flat foot of the trunk."""
-    return np.flatnonzero(on_disc(solid.tubes[0], 0.0, points))
-
-
-def _from_file(path: Path, size: float, order: int, trust: bool, timeout: float) -> TetMesh:
+def _from_file(path: Path, size: float, order: int, **given: Any) -> TetMesh:
     began = time.perf_counter()
-    points, tets, region, names, sets = open_geometry(
-        path, size, order, trust=trust, timeout=timeout
-    )
+    points, tets, region, names, sets, others = open_geometry(path, size, order, **given)
     report: dict[str, Any] = {"source": path.name, "seconds": time.perf_counter() - began}
+    if others:
+        report["left_out"] = others
+        log.warning("%s: elements that are no tetrahedra are left out: %s", path, others)
     try:
         return TetMesh(points, tets, region, sets, names, report)
     except MeshError as why:
