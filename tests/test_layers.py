@@ -18,6 +18,9 @@ HOMES = {
     "cvxpy": {"estimation/force_balance.py"},
     "pyvista": {"view/figures.py"},
     "typer": {"cli.py"},
+    "manifold3d": {"solid/booleans.py"},
+    "mmgpy": {"solid/remesh.py"},
+    "pytetwild": {"solid/wild.py"},
 }
 FILES = sorted((ROOT / "plantsim").rglob("*.py"))
 

@@ -63,13 +63,13 @@ def _move(
         points[v] += step[best]
 
 
-def curve(mesh: TetMesh, solid: Solid) -> tuple[Array, int]:
+def curve(mesh: TetMesh, solid: Solid, owner: Array | None = None) -> tuple[Array, int]:
     """Return points with the surface's middles on the tubes, and the tets held back.
 
     `mesh` of order 2, straight edges. An edge of the surface whose ends belong to one limb
     has its middle moved radially to the mean of its ends' distances from the axis, in
     radii; edges within a flat end stay. Where a tet would fold, the middles of its edges go
-    back by halves.
+    back by halves. `owner`: the limb of each vertex where it is known, else -1.
     """
     points, tets = mesh.points, mesh.tets
     faces, mids = mesh.surface[:, :3], mesh.surface[:, 3:]
@@ -77,7 +77,8 @@ def curve(mesh: TetMesh, solid: Solid) -> tuple[Array, int]:
     ends = faces[side][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     middle, where = np.unique(mids[side], return_index=True)
     ends = ends[where]
-    limb, ratio, _, _ = on_axis(solid, points[ends].reshape(-1, 3))
+    known = None if owner is None else owner[ends].ravel()
+    limb, ratio, _, _ = on_axis(solid, points[ends].reshape(-1, 3), known)
     limb, ratio = limb.reshape(-1, 2), ratio.reshape(-1, 2)
     same = limb[:, 0] == limb[:, 1]
     middle, ratio = middle[same], ratio[same].mean(axis=1)
@@ -134,9 +135,18 @@ def on_axis(
 ) -> tuple[Array, Array, Array, Array]:
     """Return limb, distance from its axis in radii, nearest axis point and radius there.
 
-    For points (k, 3). The limb is the one given, or the nearest in units of its radius; of
-    a child's axis only the part outside its parent counts.
+    For points (k, 3). The limb is the one given, or, where that is -1 or None, the nearest
+    in units of its radius; of a child's axis only the part outside its parent counts.
     """
+    if limb is not None and (limb < 0).any():
+        out = [
+            np.empty(len(x), np.int64),
+            *(np.empty(s) for s in (len(x), x.shape, len(x))),
+        ]
+        for rows, given in ((limb >= 0, limb[limb >= 0]), (limb < 0, None)):
+            for all_of, part in zip(out, on_axis(solid, x[rows], given), strict=True):
+                all_of[rows] = part
+        return out[0], out[1], out[2], out[3]
     owner = np.zeros(len(x), dtype=np.int64)
     ratio, foot, radius = np.full(len(x), np.inf), np.zeros((len(x), 3)), np.ones(len(x))
     samples = _samples(solid)
