@@ -11,7 +11,7 @@ from plantsim.solid.rings import whole
 from plantsim.solid.sweep import Solid
 
 SPACING = 1.2  # of rings [radii]
-SLACK = 0.08  # how far the surface may be off [thinnest radius]
+SLACK = 0.04  # how far the surface may be off [thinnest radius]
 
 
 def installed() -> bool:
