@@ -46,7 +46,9 @@ def tetrahedralize(
     trust: bool = False,
     timeout: float = 600.0,
 ) -> TetMesh:
-    """Return a tetrahedral mesh of a Solid, or of a .geo, .step, .stp, .brep or .iges file.
+    """Return a tetrahedral mesh of a Solid, or of a file.
+
+    Files: .geo, .step, .stp, .brep, .iges, and closed surfaces: .stl, .obj, .ply.
 
     For a Solid: `size` is the edge length over the local radius (default 0.9). Kernel
     "union" is a few times faster than "occ" and needs the extra `fast`; whichever fails
@@ -56,7 +58,9 @@ def tetrahedralize(
 
     For a file: `size` scales the sizes that the file sets (default 1); its physical volumes
     become regions and its other physical groups vertex sets. A script that could run
-    programs or write files is refused unless `trust=True`.
+    programs or write files is refused unless `trust=True`. The triangles of a surface stay
+    as they are (`size` has no say); coinciding points are merged, small holes closed, other
+    open surfaces refused; the set "base" is its lowest points where it is cut level there.
 
     Raises DependencyError for kernel "union" without its packages, FileError for a file
     that is missing, foreign or refused, and MeshError when no attempt gave one sound mesh
