@@ -75,6 +75,7 @@ def tetrahedralize(
     if not isinstance(geometry, Solid):
         path = existing(geometry)
         return _from_file(path, 1.0 if size is None else size, order, trust, timeout)
+    gmsh_model.check_free()
     attempts: list[dict[str, Any]] = []
     around = AROUND if size is None else max(4, round(2 * np.pi / size))
     if kernel == "union":
