@@ -1,5 +1,8 @@
 """The exception family: what was wrong, the number seen, and what to do."""
 
+import importlib
+from typing import Any
+
 
 class PlantsimError(Exception):
     """Any error that plantsim raises on purpose."""
@@ -35,3 +38,13 @@ class EstimateError(PlantsimError, ValueError):
 
 class DependencyError(PlantsimError, ImportError):
     """An optional package or a system library that is not installed."""
+
+
+def needs(package: str, extra: str) -> Any:
+    """Return an optional package; DependencyError, with the pip line, where absent."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as why:
+        raise DependencyError(
+            f"{package} cannot be imported ({why}). Run: pip install 'plantsim[{extra}]'"
+        ) from None

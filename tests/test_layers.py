@@ -22,6 +22,9 @@ HOMES = {
     "viser": {"view/app.py"},
     "typer": {"cli"},  # a folder
     "rich": {"cli"},
+    "manifold3d": {"solid/booleans.py"},
+    "mmgpy": {"solid/remesh.py"},
+    "pytetwild": {"solid/wild.py"},
 }
 FILES = sorted((ROOT / "plantsim").rglob("*.py"))
 

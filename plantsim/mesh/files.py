@@ -224,7 +224,7 @@ def _one_order(path: Path, solid: list[tuple[str, int]], everything: list[str]) 
 
 
 def _read_msh22(path: Path) -> tuple[Array, list[Block]]:
-    raw = _meshio_read(path, "gmsh")
+    raw = meshio_read(path, "gmsh")
     blocks = []
     physical = raw.cell_data.get(
         "gmsh:physical", [np.zeros(len(c.data)) for c in raw.cells]
@@ -244,17 +244,22 @@ def _unreadable(path: Path, why: object) -> FileError:
     )
 
 
-def _meshio_read(path: Path, kind: str) -> Any:
+def meshio_read(path: Path, kind: str) -> Any:
+    """Return what meshio reads, silently; FileError whatever it stumbles over."""
     silence = io.StringIO()  # meshio prints what it then raises
     try:
-        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+        with (
+            contextlib.redirect_stdout(silence),
+            contextlib.redirect_stderr(silence),
+            np.errstate(all="ignore"),
+        ):
             return meshio.read(path, file_format=kind)
     except (SystemExit, Exception) as why:  # whatever meshio makes of a broken file
         raise _unreadable(path, why) from None
 
 
 def _read_vtu(path: Path) -> Parts:
-    raw = _meshio_read(path, "vtu")
+    raw = meshio_read(path, "vtu")
     solid = [b for b, c in enumerate(raw.cells) if c.dim == 3 and len(c.data)]
     others = _one_order(
         path,

@@ -20,11 +20,17 @@ import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.errors import FileError, MeshError
+from plantsim.mesh.closed import SURFACES, closed_surface, read_surface
+from plantsim.mesh.tetmesh import TetMesh
 from plantsim.solid.apart import MARK, end_with, quiet_output
 from plantsim.solid.geo_script import CAD, check_opened
 from plantsim.solid.parameters import with_parameters
+from plantsim.solid.quality import repair
 
-OPENED = (".geo", ".geo_unrolled", *CAD[:-1])
+OPENED = (".geo", ".geo_unrolled", *CAD[:-1], *SURFACES)
+Opened = tuple[
+    Array, Array, Array | None, tuple[str, ...], dict[str, Array], dict[str, int]
+]
 
 
 def open_geometry(
@@ -35,7 +41,7 @@ def open_geometry(
     trust: bool,
     timeout: float,
     parameters: Mapping[str, float | str] | None = None,
-) -> tuple[Array, Array, Array | None, tuple[str, ...], dict[str, Array], dict[str, int]]:
+) -> Opened:
     """Return points, tets, region, region names and sets of a geometry file.
 
     Last, how many elements of its volumes are no tets and were left out, by kind.
@@ -49,6 +55,10 @@ def open_geometry(
             f"{path}: tetrahedralize takes {', '.join(OPENED)} files. Read a mesh with "
             "read_mesh."
         )
+    if suffix in SURFACES:
+        if parameters:
+            raise FileError(f"{path}: only .geo scripts have parameters. Leave them out.")
+        return _filled(path, order, timeout)
     with tempfile.TemporaryDirectory(prefix="plantsim-") as folder:
         opened = path.resolve()
         if path.suffix != suffix:
@@ -72,6 +82,29 @@ def open_geometry(
     sets = {k.removeprefix("set:"): v for k, v in data.items() if k.startswith("set:")}
     others = json.loads(str(data["others"]))
     return data["points"], data["tets"], data.get("region"), names, sets, others
+
+
+def _filled(path: Path, order: int, timeout: float) -> Opened:
+    """Return a closed surface filled with tets; its triangles stay as they are."""
+    try:
+        points, faces, _ = closed_surface(*read_surface(path))
+    except MeshError as why:
+        raise MeshError(f"{path}: {why}") from None
+    with tempfile.TemporaryDirectory(prefix="plantsim-") as folder:
+        surface = Path(folder) / "surface.npz"
+        np.savez(surface, points=points, faces=faces)
+        data = _child(path, {"surface": str(surface), "trust": False}, timeout)
+    mesh = TetMesh(data["points"], data["tets"], sets=_ground(points, faces))
+    mesh = mesh.with_order(order)
+    return mesh.points, mesh.tets, None, (), dict(mesh.sets), {}
+
+
+def _ground(points: Array, faces: Array) -> dict[str, Array]:
+    """Return the set "base": the lowest points, where the surface is cut level there."""
+    height = points[:, 2] - points[:, 2].min()
+    low = height < 1e-6 * float(height.max())
+    level = low[faces].all(axis=1)
+    return {"base": np.unique(faces[level])} if level.any() else {}
 
 
 def _child(path: Path, request: dict[str, Any], timeout: float) -> dict[str, Array]:
@@ -113,6 +146,12 @@ def _work(request: dict[str, Any]) -> bytes:
     if not request["trust"]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if "surface" in request:
+        with np.load(request["surface"], allow_pickle=False) as z:
+            points, tets = _fill(gmsh_model, z["points"], z["faces"])
+        packed = io.BytesIO()
+        np.savez(packed, points=points, tets=tets)
+        return packed.getvalue()
     with gmsh_model.session(General__NoPopup=1):
         gmsh_model.open_file(request["path"])
         gmsh_model.mesh_opened(request["size"], request["order"])
@@ -130,6 +169,17 @@ def _work(request: dict[str, Any]) -> bytes:
     packed = io.BytesIO()
     np.savez(packed, **out)
     return packed.getvalue()
+
+
+def _fill(gmsh_model: Any, points: Array, faces: Array) -> tuple[Array, Array]:
+    """Fill by HXT, or by Delaunay where that fails, and mend slivers inside."""
+    still = np.ones(len(points), dtype=bool)
+    try:
+        x, tets = gmsh_model.fill(points, faces, still, gmsh_model.HXT)
+    except MeshError:
+        x, tets = gmsh_model.fill(points, faces, still, gmsh_model.DELAUNAY)
+    held = np.arange(len(x)) < len(points)
+    return repair(x, tets, held)[0], tets
 
 
 def main() -> None:

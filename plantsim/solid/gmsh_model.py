@@ -31,6 +31,14 @@ TETS = {1: 4, 2: 11}  # element types by order
 SHAKE = 1e-3  # of the shortest edge at a point
 
 
+def check_free() -> None:
+    """Raise MeshError outside the main thread, or when a session of gmsh is open."""
+    if threading.current_thread() is not threading.main_thread():
+        raise MeshError("gmsh runs in the main thread only. Use processes, not threads.")
+    if gmsh.isInitialized():
+        raise MeshError("gmsh is in use in this process. Call gmsh.finalize() first.")
+
+
 @contextmanager
 def session(**options: float) -> Iterator[Any]:
     """Enter gmsh with one empty model, silent; yield the gmsh module; leave it finalised.
@@ -39,10 +47,7 @@ def session(**options: float) -> Iterator[Any]:
     that gmsh raises inside becomes a MeshError. Raises MeshError outside the main thread,
     where gmsh cannot be initialised, and when a session is open already.
     """
-    if threading.current_thread() is not threading.main_thread():
-        raise MeshError("gmsh runs in the main thread only. Use processes, not threads.")
-    if gmsh.isInitialized():
-        raise MeshError("gmsh is in use in this process. Call gmsh.finalize() first.")
+    check_free()
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)

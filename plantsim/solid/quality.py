@@ -72,13 +72,15 @@ def _move(
         points[v] += step[best]
 
 
-def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
+def curve(
+    points: Array, tets: Array, solid: Solid, owner: Array | None = None
+) -> tuple[Array, int]:
     """Return points with the surface's middles on the tubes, and the tets held back.
 
     Tets (m, 10) with straight edges. An edge of the surface whose ends belong to one limb
     has its middle moved radially to the mean of its ends' distances from the axis, in
     radii; edges within a flat end stay. Where a tet would fold, the middles of its edges go
-    back by halves.
+    back by halves. `owner`: the limb of each corner where it is known, else -1.
     """
     surface = boundary(tets)
     corners, faces = np.unique(surface[:, :3], return_inverse=True)
@@ -87,7 +89,13 @@ def curve(points: Array, tets: Array, solid: Solid) -> tuple[Array, int]:
     ends = faces[side][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     middle, where = np.unique(mids[side], return_index=True)
     ends = ends[where]
-    limb, ratio, _, _ = on_axis(solid, points[corners])
+    limb = np.full(len(corners), -1)
+    ratio = np.empty(len(corners))
+    if owner is not None:
+        limb[corners < len(owner)] = owner[corners[corners < len(owner)]]
+    known = limb >= 0
+    ratio[known] = on_axis(solid, points[corners[known]], limb[known])[1]
+    limb[~known], ratio[~known], _, _ = on_axis(solid, points[corners[~known]])
     same = limb[ends[:, 0]] == limb[ends[:, 1]]
     middle, ends = middle[same], ends[same]
     _, now, foot, _ = on_axis(solid, points[middle], limb[ends[:, 0]])

@@ -146,3 +146,26 @@ def skin(
         total += 1
         faces.append((hub, ring + j, ring + k) if end else (hub, ring + k, ring + j))
     return np.concatenate(points), np.concatenate([np.stack(f, axis=1) for f in faces])
+
+
+def whole(
+    tube: Tube,
+    count: int,
+    grow: float,
+    spacing: float,
+    seam: float = 0.0,
+    foot: Array | None = None,
+) -> tuple[Array, Array]:
+    """Return points and triangles of a whole tube, closed at both ends.
+
+    Rings of `count` points, `spacing` radii apart, turned by `seam` [rad]; `grow`
+    multiplies every radius. `foot` is the normal of the plane that the start is slid onto.
+    """
+    u = stations(tube, 0.0, 1.0, spacing)
+    x, t, n = frames(tube, u, seam)
+    r = grow * tube.radius(u)
+    rings = [(x[k], float(r[k]), t[k], n[k]) for k in range(len(u))]
+    if tube.round_tip:
+        rings += dome(rings[-1])
+    last = "apex" if tube.round_tip else "flat"
+    return skin(rings, count, first="flat", last=last, even=False, foot=foot)

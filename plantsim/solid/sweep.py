@@ -7,6 +7,7 @@ from typing import Any, Literal, Self, TypeVar
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import minimize_scalar
+from scipy.spatial import KDTree
 
 from plantsim.arrays import Array, few, frozen
 from plantsim.errors import GeometryError
@@ -157,6 +158,17 @@ class Tube:
             ((float(v), float(np.linalg.norm(self.axis(v) - x))) for v in (best.x, u[i])),
             key=lambda pair: pair[1],
         )
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.axis(self.stations))
+
+    def foot(self, x: Array) -> tuple[Array, Array]:
+        """Return axis points (k, 3) near points x (k, 3) and the radii (k,) there."""
+        at = self.stations[self._tree.query(x)[1]]
+        d = self._axis(at, 1)
+        at = np.clip(at + ((x - self.axis(at)) * d).sum(axis=1) / (d**2).sum(axis=1), 0, 1)
+        return self.axis(at), self.radius(at)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -4,6 +4,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from plantsim.arrays import Array
 from plantsim.errors import MeshError
 from plantsim.mesh.tetmesh import TetMesh, quadratic
 from plantsim.paths import existing
-from plantsim.solid import apart, gmsh_model, occ
+from plantsim.solid import apart, gmsh_model, occ, union, wild
 from plantsim.solid.foreign import open_geometry
 from plantsim.solid.quality import curve, flat_ends, limb_sets, on_axis, repair
 from plantsim.solid.soundness import check_sound
@@ -40,7 +41,7 @@ def tetrahedralize(
     size: float | None = None,
     *,
     order: int = 2,
-    kernel: Literal["occ"] = "occ",
+    kernel: Literal["occ", "union"] = "occ",
     trust: bool = False,
     timeout: float | None = None,
     parameters: Mapping[str, float | str] | None = None,
@@ -55,18 +56,22 @@ def tetrahedralize(
     For a file: `size` scales the sizes that the file sets (default 1); its physical volumes
     become regions and its other physical groups vertex sets. `parameters` takes the place
     of values that a .geo script sets itself, as L = 1; or in a DefineConstant. A script
-    that could run programs or write files is refused unless `trust=True`.
+    that could run programs or write files is refused unless `trust=True`. The triangles of
+    a surface stay as they are (`size` has no say); coinciding points are merged, small
+    holes closed, other open surfaces refused; the set "base" is its lowest points where it
+    is cut level there.
 
     `timeout` [s] is the longest that meshing may take. A file goes to a child process in
     any case (600 s), a Solid only if it is given.
 
-    Raises FileError for a file that is missing, foreign or refused, and MeshError when no
-    attempt gave one sound mesh (what that is: `plantsim.solid.soundness`).
+    Raises DependencyError for kernel "union" without its packages, FileError for a file
+    that is missing, foreign or refused, and MeshError when no attempt gave one sound mesh
+    (what that is: `plantsim.solid.soundness`).
     """
     if order not in (1, 2):
         raise MeshError(f"order is {order!r}; give 1 or 2.")
-    if kernel != "occ":
-        raise MeshError(f"kernel {kernel!r} is not known; give 'occ'.")
+    if kernel not in ("occ", "union"):
+        raise MeshError(f"kernel {kernel!r} is not known; give 'occ' or 'union'.")
     if size is not None and not 0.1 <= size <= 10:
         raise MeshError(f"size is {size}; give a factor from 0.1 to 10.")
     if not isinstance(geometry, Solid):
@@ -77,10 +82,16 @@ def tetrahedralize(
         raise MeshError("trust and parameters are for files. Leave them out for a Solid.")
     if timeout is not None:
         return apart.tetrahedralized(geometry, size, order, kernel, timeout)
+    gmsh_model.check_free()
     attempts: list[dict[str, Any]] = []
     report: dict[str, Any] = {"kernel": kernel, "attempts": attempts}
     around = AROUND if size is None else max(4, round(2 * np.pi / size))
-    for algorithm, turn, whole in LADDER:
+    finish = partial(_finished, geometry, order, report)
+    if kernel == "union":
+        mesh = union.meshed(geometry, around, grow(around, order), finish, _timed, attempts)
+        if mesh is not None:
+            return mesh
+    for algorithm, turn, whole in LADDER if kernel == "occ" else ():
         note: dict[str, Any] = {
             "algorithm": "HXT" if algorithm == gmsh_model.HXT else "Delaunay",
             "turn": turn,
@@ -102,12 +113,23 @@ def tetrahedralize(
             points, tets = _timed(
                 note, "fill", gmsh_model.fill, points, faces, flat, algorithm
             )
-            return _finished(geometry, points, tets, order, report)
+            return finish(points, tets)
+        except MeshError as why:
+            note["failure"] = str(why)
+            log.info("meshing attempt %d failed: %s", len(attempts), why)
+    if wild.installed():
+        note = {"algorithm": "fTetWild"}
+        attempts.append(note)
+        try:
+            points, tets = _timed(
+                note, "fill", wild.fill, geometry, around, grow(around, order)
+            )
+            return finish(points, tets)
         except MeshError as why:
             note["failure"] = str(why)
             log.info("meshing attempt %d failed: %s", len(attempts), why)
     raise MeshError(
-        f"no attempt of {len(LADDER)} gave a sound mesh of {len(geometry.tubes)} limbs; "
+        f"no attempt of {len(attempts)} gave a sound mesh of {len(geometry.tubes)} limbs; "
         f"the last said: {attempts[-1]['failure']} Prune limbs that graze others, or try "
         "another size."
     )
@@ -133,19 +155,29 @@ def _timed(note: dict[str, Any], step: str, act: Callable[..., Any], *args: Any)
 
 
 def _finished(
-    solid: Solid, points: Array, tets: Array, order: int, report: dict[str, Any]
+    solid: Solid,
+    order: int,
+    report: dict[str, Any],
+    points: Array,
+    tets: Array,
+    known: tuple[Array, Array] | None = None,
 ) -> TetMesh:
-    """Return the mesh repaired, labelled, curved and checked."""
+    """Return the mesh repaired, labelled, curved and checked.
+
+    `known`: the limb of each tet, and of each vertex of the surface (-1 if unknown).
+    """
     note = report["attempts"][-1]
     points, note["slivers"], note["slivers_left"] = _timed(
         note, "repair", repair, points, tets, flat_ends(solid, points)
     )
-    region = _timed(note, "label", on_axis, solid, points[tets].mean(axis=1))[0]
+    region, owner = known or (None, None)
+    if region is None:
+        region = _timed(note, "label", on_axis, solid, points[tets].mean(axis=1))[0]
     by_limb = np.argsort(region, kind="stable")
     region, tets = region[by_limb], tets[by_limb]
     if order == 2:
         points, tets, _ = quadratic(points, tets)
-        points, note["flattened"] = _timed(note, "curve", curve, points, tets, solid)
+        points, note["flattened"] = _timed(note, "curve", curve, points, tets, solid, owner)
     names = tuple(t.name for t in solid.tubes)
     sets = limb_sets(solid, points, tets, region)
     mesh = _timed(note, "check", TetMesh, points, tets, region, sets, names, report)

@@ -1,0 +1,255 @@
+"""How often, how fast and how well plants are meshed, beside fTetWild, TetGen and gmsh.
+
+    python benchmarks/meshing.py trees --kernel union --limbs 100 --count 100
+    python benchmarks/meshing.py peers --limbs 30 --count 5
+    python benchmarks/meshing.py species --kernel union --seeds 25 [--only NAME]
+    python benchmarks/meshing.py pool --count 50
+    python benchmarks/meshing.py table
+
+Every mesh adds a line to a file (--log, by default meshing.jsonl), and what is there
+already is not done again: a run may be ended at any time and taken up later. `table` prints
+the tables of what is there; the other sections end with theirs. Seconds are CPU seconds of
+this process with all its threads and children, from the solid to the mesh of order 2. Seeds
+start at 5000; none of them was used while tuning (those were 0 to 1010).
+"""
+
+import argparse
+import json
+import multiprocessing
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from random_trees import random_tree
+
+import plantsim as ps
+from plantsim.mesh.tetmesh import gamma
+
+FIRST = 5000
+PEERS = ("occ", "union", "fTetWild", "TetGen", "gmsh")
+
+
+def cpu() -> float:
+    """CPU seconds of this process and of its children that have ended."""
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + ended.ru_utime + ended.ru_stime
+
+
+class Log:
+    """Results, one JSON line each; a key is done once."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        lines = path.read_text().splitlines() if path.exists() else []
+        self.rows = [json.loads(line) for line in lines]
+        self.known = {self.key(row) for row in self.rows}
+
+    @staticmethod
+    def key(row: dict[str, Any]) -> tuple[Any, ...]:
+        return tuple(row[k] for k in ("section", "plant", "seed", "mesher"))
+
+    def add(self, key: tuple[Any, ...], act: Callable[[], dict[str, Any]]) -> None:
+        if key in self.known:
+            return
+        names = ("section", "plant", "seed", "mesher")
+        row = dict(zip(names, key, strict=True)) | act()
+        self.rows.append(row)
+        self.known.add(key)
+        with self.path.open("a") as f:
+            f.write(json.dumps(row) + "\n")
+        print("  " + " ".join(f"{k} {v}" for k, v in row.items()), flush=True)
+
+    def of(self, section: str) -> Iterator[tuple[tuple[str, str], list[dict[str, Any]]]]:
+        """Yield (plant, mesher) and its rows."""
+        rows = [r for r in self.rows if r["section"] == section]
+        for plant, mesher in dict.fromkeys((r["plant"], r["mesher"]) for r in rows):
+            mine = [r for r in rows if (r["plant"], r["mesher"]) == (plant, mesher)]
+            yield (plant, mesher), mine
+
+
+def ours(skeleton: ps.Skeleton, kernel: Any) -> dict[str, Any]:
+    """Mesh with a kernel; the ladder's rungs, seconds, tets and worst gamma."""
+    solid = ps.sweep(skeleton)
+    began = cpu()
+    try:
+        mesh = ps.tetrahedralize(solid, kernel=kernel)
+    except ps.PlantsimError as why:
+        return {"cpu": round(cpu() - began, 2), "attempts": 0, "failure": str(why)[:200]}
+    took = cpu() - began
+    assert mesh.report is not None
+    return {
+        "cpu": round(took, 2),
+        "attempts": len(mesh.report["attempts"]),
+        "limbs": len(solid.tubes),
+        "tets": len(mesh.tets),
+        "gamma": round(float(mesh.quality.min()), 4),
+    }
+
+
+def trees(log: Log, kernel: str, limbs: int, count: int) -> None:
+    for seed in range(FIRST, FIRST + count):
+        key = ("trees", f"random tree, {limbs} limbs", seed, kernel)
+        log.add(key, lambda s=seed: ours(random_tree(limbs, s), kernel))
+
+
+def species(log: Log, kernel: str, seeds: int, only: str) -> None:
+    for name in [only] if only else ps.species_names():
+        for seed in range(FIRST, FIRST + seeds):
+            key = ("species", name, seed, kernel)
+            log.add(key, lambda n=name, s=seed: ours(ps.weber_penn(n, rng=s), kernel))
+
+
+def raw_surface(skeleton: ps.Skeleton) -> tuple[np.ndarray, np.ndarray]:
+    """Return the union of the tubes as manifold3d leaves it: what the others are given."""
+    from plantsim.solid import union
+    from plantsim.solid.tetrahedralize import AROUND, grow
+
+    solid = ps.sweep(skeleton)
+    seams = np.random.default_rng(0).uniform(0, 2 * np.pi, len(solid.tubes))
+    skin, _ = union.unite(solid, AROUND, grow(AROUND, 2), seams)
+    return skin.points, skin.faces
+
+
+def wild(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    import pytetwild
+
+    return pytetwild.tetrahedralize(points, faces.astype(np.int32), num_threads=1)
+
+
+def tetgen(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    import tetgen as package
+
+    made = package.TetGen(points, faces.astype(np.int32))
+    made.tetrahedralize(order=1, mindihedral=20, minratio=1.5)
+    return made.node, made.elem
+
+
+def gmsh(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    from plantsim.solid import gmsh_model
+
+    return gmsh_model.fill(points, faces, gmsh_model.HXT)
+
+
+def peers(log: Log, limbs: int, count: int) -> None:
+    """All on the same plants; the others on the same surface."""
+    for seed in range(FIRST, FIRST + count):
+        plant = random_tree(limbs, seed)
+        name = f"random tree, {limbs} limbs"
+        for kernel in ("occ", "union"):
+            log.add(("peers", name, seed, kernel), lambda p=plant, k=kernel: ours(p, k))
+        for mesher, act in (("fTetWild", wild), ("TetGen", tetgen), ("gmsh", gmsh)):
+            key = ("peers", name, seed, mesher)
+            log.add(key, lambda p=plant, a=act: theirs(p, a))
+
+
+def theirs(skeleton: ps.Skeleton, act: Callable[..., Any]) -> dict[str, Any]:
+    points, faces = raw_surface(skeleton)
+    began = cpu()
+    try:
+        x, tets = act(points, faces)
+    except Exception as why:  # each package has its own
+        return {"cpu": round(cpu() - began, 2), "attempts": 0, "failure": str(why)[:200]}
+    took = cpu() - began
+    worst = float(np.abs(gamma(np.asarray(x)[np.asarray(tets)[:, :4]])).min())
+    return {"cpu": round(took, 2), "attempts": 1, "tets": len(tets), "gamma": worst}
+
+
+def one(task: tuple[int, str]) -> tuple[int, float, float]:
+    """Mesh one tree in a worker; its pid, worst gamma and peak memory [MB] so far."""
+    seed, kernel = task
+    got = ours(random_tree(30, seed), kernel)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    pid = multiprocessing.current_process().pid or 0
+    return pid, got.get("gamma", 0.0), peak
+
+
+def pool(kernel: str, count: int) -> None:
+    """Mesh in a spawn pool of two processes; the peak of each must not climb."""
+    began = time.perf_counter()
+    tasks = [(FIRST + i, kernel) for i in range(count)]
+    peaks: dict[int, list[float]] = {}
+    worst = 1.0
+    with multiprocessing.get_context("spawn").Pool(2) as workers:
+        for pid, quality, peak in workers.imap_unordered(one, tasks):
+            peaks.setdefault(pid, []).append(peak)
+            worst = min(worst, quality)
+    print("\n| kernel | trees | processes | peak after 5, MB | at the end | worst gamma |")
+    print("|---|---|---|---|---|---|")
+    early = "/".join(f"{p[min(4, len(p) - 1)]:.0f}" for p in peaks.values())
+    late = "/".join(f"{p[-1]:.0f}" for p in peaks.values())
+    done = sum(map(len, peaks.values()))
+    print(
+        f"| {kernel} | {done} of {count} | {len(peaks)} | {early} | {late} | {worst:.2f} |"
+    )
+    print(f"{time.perf_counter() - began:.0f} s")
+
+
+def table(log: Log) -> None:
+    head = (
+        "plants | mesher | meshed | at once | median CPU s | worst | median tets "
+        "| median worst gamma | worst gamma"
+    )
+    for section in ("trees", "species", "peers"):
+        rows = list(log.of(section))
+        if not rows:
+            continue
+        print(f"\n{section}\n\n| {head} |\n|{'---|' * 9}")
+        for (plant, mesher), mine in sorted(rows):
+            good = [r for r in mine if r["attempts"]]
+            at_once = sum(r["attempts"] == 1 for r in mine)
+            times = [r["cpu"] for r in mine]
+            line = [plant, mesher, f"{len(good)} of {len(mine)}", str(at_once)]
+            line += [f"{median(times):.1f}", f"{max(times):.1f}"]
+            if good:
+                line.append(f"{median(r['tets'] for r in good):,.0f}")
+                gammas = [r["gamma"] for r in good]
+                line += [f"{median(gammas):.2g}", f"{min(gammas):.2g}"]
+            print(f"| {' | '.join(line)} |")
+    ratios(log)
+
+
+def ratios(log: Log) -> None:
+    """How many times less CPU than fTetWild, plant by plant."""
+    rows = {
+        (r["plant"], r["seed"], r["mesher"]): r for r in log.rows if r["section"] == "peers"
+    }
+    for kernel in ("occ", "union"):
+        found = [
+            rows[plant, seed, "fTetWild"]["cpu"] / row["cpu"]
+            for (plant, seed, mesher), row in rows.items()
+            if mesher == kernel and (plant, seed, "fTetWild") in rows
+        ]
+        if found:
+            print(f"\nfTetWild's CPU over that of {kernel}: median {median(found):.1f}")
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    sections = ("trees", "peers", "species", "pool", "table")
+    options.add_argument("section", choices=sections)
+    options.add_argument("--kernel", choices=("occ", "union"), default="union")
+    options.add_argument("--limbs", type=int, default=100)
+    options.add_argument("--count", type=int, default=50, help="trees")
+    options.add_argument("--seeds", type=int, default=25, help="of every species")
+    options.add_argument("--only", default="", help="one species")
+    options.add_argument("--log", type=Path, default=Path("meshing.jsonl"))
+    given = options.parse_args()
+    if given.section == "pool":
+        return pool(given.kernel, given.count)
+    log = Log(given.log)
+    if given.section == "trees":
+        trees(log, given.kernel, given.limbs, given.count)
+    elif given.section == "peers":
+        peers(log, given.limbs, given.count)
+    elif given.section == "species":
+        species(log, given.kernel, given.seeds, given.only)
+    return table(log)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,41 @@
+"""Where a triangle surface passes through itself."""
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from plantsim.arrays import Array
+
+NEIGHBOURS = 24  # triangles that an edge is tested against
+
+
+def crossings(points: Array, faces: Array) -> Array:
+    """Mask the points (n,) of edges, and of triangles that such an edge passes through.
+
+    Each edge is tested against the nearest triangles that do not share a point with it.
+    Source of the test: Moeller and Trumbore 1997.
+    """
+    out = np.zeros(len(points), dtype=bool)
+    if len(faces) < 2:
+        return out
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges = np.unique(sides, axis=0)
+    x = points[edges]
+    k = min(NEIGHBOURS, len(faces))
+    near = KDTree(points[faces].mean(axis=1)).query(x.mean(axis=1), k)[1]
+    edge, face = np.repeat(np.arange(len(edges)), k), near.ravel()
+    apart = (faces[face][:, :, None] != edges[edge][:, None]).all(axis=(1, 2))
+    edge, face = edge[apart], face[apart]
+    a, b, c = points[faces[face]].transpose(1, 0, 2)
+    start, way = x[edge, 0], x[edge, 1] - x[edge, 0]
+    u, v = b - a, c - a
+    p = np.cross(way, v)
+    size = (u * p).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = ((start - a) * p).sum(axis=1) / size
+        q = np.cross(start - a, u)
+        t = (way * q).sum(axis=1) / size
+        along = (v * q).sum(axis=1) / size
+        hit = (s > 0) & (t > 0) & (s + t < 1) & (along > 0) & (along < 1)
+    out[edges[edge[hit]]] = True
+    out[faces[face[hit]]] = True
+    return out
