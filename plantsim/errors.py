@@ -35,3 +35,11 @@ class EstimateError(PlantsimError, ValueError):
 
 class DependencyError(PlantsimError, ImportError):
     """An optional package or a system library that is not installed."""
+
+
+class StoppedWarning(UserWarning):
+    """A load was carried in part only; the state's stats tell how much."""
+
+
+class BreakageWarning(UserWarning):
+    """A state in which a limb would break."""

@@ -13,12 +13,13 @@ def force_matrix(model: ElasticModel, displacement: ArrayLike) -> csr_array:
     """Return W (3n, 2m) [m^2] with f = W theta at this displacement (n, 3) [m].
 
     theta is mu of every tet, then lam of every tet [Pa]; row 3 v + i is component i of the
-    external force on vertex v. W theta = K(theta) u for any theta.
+    external force on vertex v. W theta = K(theta) u for any theta, or the internal forces
+    there of a corotational model, which are linear in theta too.
     Source: Yao and Hauser, Generating and Estimating Linear FEM Plant Simulation Models.
     """
     n, m = len(model.mesh.points), len(model.mesh.tets)
     u = frozen(displacement, (n, 3), name="displacement", error=EstimateError)
-    mu, lam = model.blocks.forces(model.mesh.tets, u)
+    mu, lam = model.deformed(u).unit_forces()
     rows = (3 * model.mesh.tets[:, :, None] + np.arange(3)).reshape(m, -1)
     each = rows.shape[1]
     columns = np.repeat(np.arange(2 * m), each)

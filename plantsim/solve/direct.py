@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import weakref
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,13 @@ class DirectFactor:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
+
+    @cached_property
+    def definite(self) -> bool:
+        """Whether K is positive definite, by the signs of its pivots (Sylvester)."""
+        if isinstance(self.lu, _Pardiso):
+            return True  # its factor would have failed
+        return bool((self.lu.U.diagonal() > 0).all())
 
     def __call__(self, f: Array) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), 0 iterations and the backward errors."""

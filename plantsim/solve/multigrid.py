@@ -76,6 +76,11 @@ class MultigridFactor:
         object.__setattr__(self, "size", norm_inf(self.K))
 
     @property
+    def definite(self) -> bool:
+        """True: CG fails, and says so, where K is not positive definite enough for it."""
+        return True
+
+    @property
     def preconditioner(self) -> Any:
         """One V cycle as a linear operator."""
         return self.levels.aspreconditioner(cycle="V")

@@ -23,6 +23,11 @@ class Factor(Protocol):
         """Library routine that does the work."""
         ...
 
+    @property
+    def definite(self) -> bool:
+        """Whether the system is positive definite, as far as the factor can tell."""
+        ...
+
     def __call__(self, f: Array) -> tuple[Array, int, Array]:
         """Return the solution for f, (n,) or (n, k), the iterations and the backward error.
 
