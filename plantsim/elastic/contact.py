@@ -93,15 +93,17 @@ class Contact:
         self._columns = model.columns.of(ids)  # Y
         self._rows = (3 * ids[:, None] + np.arange(3)).ravel()
         S = self._columns[:, self._rows]
-        try:
-            cholesky = scipy.linalg.cho_factor((S + S.T) / 2)
-        except scipy.linalg.LinAlgError:
+        S = (S + S.T) / 2
+        size = np.abs(scipy.linalg.eigvalsh(S))
+        # about a state that stands only while it is held, S has a negative eigenvalue
+        sound = size.min() > 1e-14 * size.max()
+        if not sound or not (model.about_a_state or _positive(S)):
             raise ModelError(
                 f"the {len(ids)} contact vertices cannot be told apart numerically. Leave "
                 "out those that lie closest together."
-            ) from None
-        inverse = scipy.linalg.cho_solve(cholesky, np.eye(len(S)))
-        self.stiffness = (inverse + inverse.T) / 2  # (3k, 3k) [N/m], positive definite
+            )
+        inverse = scipy.linalg.inv(S)
+        self.stiffness = (inverse + inverse.T) / 2  # (3k, 3k) [N/m]
         self.stiffness.flags.writeable = False
         self._stiffness = self.stiffness.astype(self.dtype)
 
@@ -206,6 +208,14 @@ class Contact:
 
     def __repr__(self) -> str:
         return f"Contact({len(self.ids)} vertices of {self.model!r})"
+
+
+def _positive(S: Array) -> bool:
+    try:
+        scipy.linalg.cholesky(S)
+    except scipy.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _product(d: Array, fields: Array) -> Array:

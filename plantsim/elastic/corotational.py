@@ -50,6 +50,13 @@ class Points:
         shape = (len(count), tets.size)
         return csr_array((np.ones(tets.size), order, start), shape=shape)
 
+    @cached_property
+    def products(self) -> Array:
+        """Integrals of grad phi_a . grad phi_b for pairs a <= b, (m, p) [m]."""
+        one, other = np.triu_indices(self.gradient.shape[1])
+        weighed = self.gradient * np.repeat(self.weight, 3, axis=1)[:, None]
+        return (weighed @ self.gradient.transpose(0, 2, 1))[:, one, other]
+
     @classmethod
     def of(cls, mesh: TetMesh, pattern: Pattern) -> "Points":
         """Return the points of a mesh."""
@@ -154,22 +161,13 @@ class Turned:
         """
         points, pattern = self.points, self.points.pattern
         m, q = points.weight.shape
-        c = points.gradient.shape[1]
-        one, other = np.triu_indices(c)
         pairs = np.empty((pattern.where.size, 9))
         step = max(CHUNK // q, 1)
         for first in range(0, m, step):
-            tets = slice(first, first + step)
-            at = slice(first * q, min(first + step, m) * q)
-            C = self._hessian(at, tets, positive)  # (k, 9, 9) [ji, kl]
-            D = points.gradient[tets]
-            count = len(D)
-            per = D.reshape(count, c, q, 3).transpose(0, 2, 3, 1).reshape(-1, 3, c)
-            half = C.reshape(-1, 27, 3) @ np.ascontiguousarray(per)
-            K = (D @ half.reshape(count, 3 * q, 9 * c)).reshape(count, c, 3, 3, c)
-            some = K[:, one, :, :, other].transpose(1, 0, 2, 3)  # (count, p, 3, 3)
-            turned = pattern.swapped[tets][:, :, None, None]
-            some = np.where(turned, some.swapaxes(2, 3), some)
+            tets = slice(first, min(first + step, m))
+            some = self._pairs(tets, positive)
+            turned = np.flatnonzero(pattern.swapped[tets])
+            some[turned] = some[turned].swapaxes(1, 2)
             pairs[pattern.where[tets].ravel()] = some.reshape(-1, 9)
         both = np.empty((len(pattern.start) - 1, 2, 3, 3))
         for blocks, each, sums in pattern.parts():
@@ -178,36 +176,48 @@ class Turned:
             both[blocks, 1] = K.swapaxes(1, 2)
         return pattern.matrix(both)
 
-    def _hessian(self, at: slice, tets: slice, positive: bool) -> Array:
-        """Return weight d P_ij / d F_kl of some points, (k, 9, 9): [j i, k l]."""
-        R = self.rotation[at]
-        shear, bulk = self._each(self.mu[tets]), self._each(self.lam[tets])
-        M = self._turning(at, shear, bulk)
+    def _pairs(self, tets: slice, positive: bool) -> Array:
+        """Return the tangent of some tets for pairs a <= b of their vertices, (m p, 3, 3).
+
+        With g = R grad phi and the turning a = axial(R^T dF), whose stiffness is M,
+
+            lam g_a g_b^T + mu g_b g_a^T + mu grad phi_a . grad phi_b I + Y_a M Y_b^T,
+
+        Y_a = R [grad phi_a]x, summed over the tet's points.
+        """
+        points = self.points
+        q = points.weight.shape[1]
+        at = slice(tets.start * q, tets.stop * q)
+        D, w = points.gradient[tets], points.weight[tets]
+        m, c = D.shape[:2]
+        mu, lam = self.mu[tets], self.lam[tets]
+        M = self._turning(at, self._each(mu), self._each(lam))
         if positive:
             M = _positive(M)
-        w = self.points.weight.ravel()[at]
-        count = len(R)
-        C = np.empty((count, 3, 3, 3, 3))
-        # lam R_ij R_kl + mu R_il R_kj, then mu delta_ik delta_jl
-        C[:] = (bulk * w)[:, None, None, None, None] * (
-            R.transpose(0, 2, 1)[:, :, :, None, None] * R[:, None, None, :, :]
-        )
-        other = np.einsum("eil,ekj->ejikl", R, R)
-        C += (shear * w)[:, None, None, None, None] * other
-        for i in range(3):
-            for j in range(3):
-                C[:, j, i, i, j] += shear * w
-        # and, of the turning a = axial(R^T dF), a . M a; Z[n, i, l] = R_ir eps_nrl
-        Z = np.empty((count, 3, 3, 3))
+        R = self.rotation[at]
+        grad = D.reshape(m, c, q, 3).transpose(0, 2, 3, 1).reshape(m * q, 3, c)
+        g = (R @ grad).transpose(0, 2, 1).reshape(m, q, 3 * c)
+        outer = (g * w[:, :, None]).transpose(0, 2, 1) @ g
+        cross = np.zeros((m * q, c, 3, 3))  # [grad phi_a]x, rows k, columns n
         for n in range(3):
             r, s = (n + 1) % 3, (n + 2) % 3
-            Z[:, n, :, n] = 0
-            Z[:, n, :, s] = R[:, :, r]
-            Z[:, n, :, r] = -R[:, :, s]
-        left = Z.transpose(0, 3, 2, 1).reshape(-1, 9, 3)
-        C = C.reshape(-1, 9, 9)
-        C += left @ ((w[:, None, None] * M) @ Z.reshape(-1, 3, 9))
-        return C
+            cross[:, :, r, n] = grad[:, s]
+            cross[:, :, s, n] = -grad[:, r]
+        # R^T on the left of every vertex's block, as one product: (c n, k) @ (k, i)
+        Y = cross.transpose(0, 1, 3, 2).reshape(-1, 3 * c, 3) @ R.transpose(0, 2, 1)
+        Y = Y.reshape(m, q, c, 3, 3).transpose(0, 2, 4, 1, 3).reshape(m, 3 * c, 3 * q)
+        wM = (M * w.reshape(-1, 1, 1)).reshape(m, q, 3, 3)
+        YM = (Y.reshape(m, 3 * c, q, 1, 3) @ wM[:, None]).reshape(m, 3 * c, 3 * q)
+        turning = YM @ Y.transpose(0, 2, 1)
+        one, other = np.triu_indices(c)
+        O = outer.reshape(m, c, 3, c, 3)[:, one, :, other].swapaxes(0, 1)  # noqa: E741
+        K = turning.reshape(m, c, 3, c, 3)[:, one, :, other].swapaxes(0, 1)
+        K += lam[:, None, None, None] * O
+        K += mu[:, None, None, None] * O.swapaxes(2, 3)
+        shear = mu[:, None] * points.products[tets]
+        for i in range(3):
+            K[:, :, i, i] += shear
+        return np.ascontiguousarray(K).reshape(-1, 3, 3)
 
     def _turning(self, at: slice, mu: Array, lam: Array) -> Array:
         """Return stiffness against turning, (k, 3, 3): mu I + beta (tr S I - S)^-1."""

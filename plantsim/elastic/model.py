@@ -102,6 +102,11 @@ class ElasticModel:
         mu, lam, _ = self.material.per_tet(len(self.mesh.tets))
         return self.points.at(u, mu, lam)
 
+    @property
+    def about_a_state(self) -> bool:
+        """Whether K is the tangent at a state, which need not be positive definite."""
+        return self._tangent is not None
+
     def about(self, tangent: csr_array, held: Array) -> Self:
         """Return the linear model with this tangent for its K, fixed where `held`."""
         return replace(self, kinematics="linear", fixed=held, _tangent=tangent)
@@ -269,6 +274,10 @@ class Nothing:
     def __call__(self, f: Array) -> tuple[Array, int, float]:
         """Return f, which is empty."""
         return f, 0, 0.0
+
+    def precondition(self, f: Array) -> Array:
+        """Return f, which is empty."""
+        return f
 
     @property
     def definite(self) -> bool:

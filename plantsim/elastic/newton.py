@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 TOLERANCE = 1e-8  # |residual| / |forces|
 ITERATIONS = 40  # of Newton a step
-SMALLEST = 1 / 64  # of the load in one step
+SMALLEST = 1 / 32  # of the load in one step
 CHEAP = 24  # iterations of CG on an old factor that cost as much as a new factor
 
 
@@ -199,13 +199,10 @@ class _Task:
             load = self.load(u, t)
             internal = deformed.forces
             lack = self.unheld((load - internal)[self.free])
-            size = norm(internal[self.held].ravel()) + norm(load[self.free].ravel())
-            size = max(float(size), self.floor)
-            off = float(norm(lack.ravel()))
+            off, self.residual = self.balance(lack, internal, load)
             gap = self.gap(u, t)
-            self.residual = off / size if size else 0.0
             closed = np.abs(gap).max(initial=0.0) <= 1e-12
-            if off <= self.tolerance * size and closed:
+            if self.residual <= self.tolerance and closed:
                 return u
             if not np.isfinite(off):
                 raise SolverError("forces are no longer finite")
@@ -222,6 +219,12 @@ class _Task:
             if small >= 3:
                 raise SolverError(f"steps of {length:.0e} at residual {self.residual:.0e}")
         raise SolverError(f"residual {self.residual:.0e} after {ITERATIONS} iterations")
+
+    def balance(self, lack: Array, internal: Array, load: Array) -> tuple[float, float]:
+        """Return the size of the forces out of balance, and relative to those that act."""
+        size = norm(internal[self.held].ravel()) + norm(load[self.free].ravel())
+        size, off = max(float(size), self.floor), float(norm(lack.ravel()))
+        return off, off / size if size else 0.0
 
     def search(
         self,
@@ -357,7 +360,7 @@ class _Task:
             done,
             steps,
             self.factors,
-            self.residual,
+            self.balance(self.unheld((f - internal)[self.free]), internal, f)[1],
         )
         for array in (u, f):
             array.flags.writeable = False

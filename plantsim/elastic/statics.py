@@ -40,7 +40,7 @@ class Acting:
         for ids, f in self.following:
             x = mesh.points[ids]
             turn = motion(x, x + u[ids])[0]
-            out[ids] += Rotation.from_rotvec(turn).apply(f)
+            out[ids] += Rotation.from_rotvec(turn).apply(f.copy())
         return out
 
 

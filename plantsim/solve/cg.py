@@ -17,7 +17,7 @@ def refined(
     None where K is not positive definite along the way, or `limit` steps do not do.
     """
     x, r = np.zeros_like(f), f
-    z = factor(r)[0]
+    z = factor.precondition(r)
     p, old = z, float(np.einsum("i,i->", r, z))
     first = old
     if not first > 0:
@@ -29,7 +29,7 @@ def refined(
             return None
         x = x + old / curvature * p
         r = r - old / curvature * q
-        z = factor(r)[0]
+        z = factor.precondition(r)
         new = float(np.einsum("i,i->", r, z))
         if new <= tolerance**2 * first:
             return x

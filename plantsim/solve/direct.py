@@ -78,6 +78,10 @@ class DirectFactor:
             return True  # its factor would have failed
         return bool((self.lu.U.diagonal() > 0).all())
 
+    def precondition(self, f: Array) -> Array:
+        """Return K^-1 f, unchecked."""
+        return self.lu.solve(f)
+
     def __call__(self, f: Array) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), 0 iterations and the backward errors."""
         if f.ndim == 1:

@@ -85,6 +85,10 @@ class MultigridFactor:
         """One V cycle as a linear operator."""
         return self.levels.aspreconditioner(cycle="V")
 
+    def precondition(self, f: Array) -> Array:
+        """Return one V cycle on f."""
+        return self.preconditioner @ f
+
     def __call__(self, f: Array) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), the CG iterations, the backward errors."""
         if f.ndim == 1:

@@ -28,6 +28,10 @@ class Factor(Protocol):
         """Whether the system is positive definite, as far as the factor can tell."""
         ...
 
+    def precondition(self, f: Array) -> Array:
+        """Return K^-1 f or near it, unchecked and cheap; symmetric in f."""
+        ...
+
     def __call__(self, f: Array) -> tuple[Array, int, Array]:
         """Return the solution for f, (n,) or (n, k), the iterations and the backward error.
 
