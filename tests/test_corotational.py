@@ -63,8 +63,9 @@ def test_the_tangent_is_the_derivative_of_the_forces(model):
     assert abs(K - K.T).max() < 1e-12 * abs(K).max()
 
 
-def test_the_positive_tangent_is_positive_and_the_exact_one_is_not_always(model):
-    mesh = model.mesh
+def test_the_positive_tangent_is_positive_and_the_exact_one_is_not_always():
+    mesh = ps.tetrahedralize(ps.sweep(ps.fork(0.3, 0.02)), 1.5, order=1)
+    model = ps.ElasticModel(mesh, ps.Material(1e9), kinematics="corotational")
     # pressed together along its length, a rod wants to turn
     u = bent(mesh) - 0.1 * mesh.points
     low = []
@@ -244,7 +245,7 @@ def test_what_cannot_be_carried_is_said():
     assert state.displacement[tip][0, 2] == pytest.approx(goal)
 
 
-@pytest.mark.parametrize("name", ["00", "03"])
+@pytest.mark.parametrize("name", ["03"])
 def test_reference_trees_bend_far(reference, name):
     data = np.load(reference / f"test_tree_{name}.npz")
     mesh = ps.TetMesh(data["points"], data["tets"])

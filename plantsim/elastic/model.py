@@ -19,9 +19,11 @@ from plantsim.elastic.loads import Load, ids_in
 from plantsim.elastic.material import Material
 from plantsim.elastic.newton import large_equilibrium
 from plantsim.elastic.pattern import Pattern
+from plantsim.elastic.sag import unloaded
 from plantsim.elastic.statics import equilibrium
 from plantsim.elastic.stiffness import Blocks, blocks, mass
 from plantsim.elastic.supports import check_held
+from plantsim.elastic.weight import gravity
 from plantsim.errors import ModelError
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.solve.direct import Direct
@@ -239,6 +241,23 @@ class ElasticModel:
         """
         on = ids_in(self.mesh, ids, "drag")
         return Drag(self, on, loads, start=start, tolerance=tolerance)
+
+    def settled(self, *loads: Load) -> Equilibrium:
+        """Return the plant under its own weight, or under `loads` instead.
+
+        With `ps.gravity(masses=skeleton.masses)` under that of its leaves and fruit too. Go
+        on from it with `solve(..., start=...)`, naming the weight again.
+        """
+        return self.solve(*(loads or (gravity(),)))
+
+    def unloaded(self, *loads: Load, tolerance: float = 1e-6) -> "ElasticModel":
+        """Return the model that sags to the shape of this one's mesh under its weight.
+
+        For a plant scanned or photographed where it stands: under `loads` (its own weight
+        where none are given) the model returned has the scanned shape, to `tolerance` [m],
+        so that it is not bent twice. Raises SolverError where there is no such shape.
+        """
+        return unloaded(self, loads or (gravity(),), tolerance)[0]
 
     @cached_property
     def nodal_mass(self) -> Array:

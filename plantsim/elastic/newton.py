@@ -35,6 +35,7 @@ log = logging.getLogger(__name__)
 TOLERANCE = 1e-8  # |residual| / |forces|
 ITERATIONS = 40  # of Newton a step
 SMALLEST = 1 / 32  # of the load in one step
+BLEND = 0.25  # of the positive tangent, tried first where the exact one is not positive
 CHEAP = 24  # iterations of CG on an old factor that cost as much as a new factor
 
 
@@ -260,10 +261,14 @@ class _Task:
         self, deformed: Deformed, old: Near | None, *, positive: bool = False
     ) -> Near:
         """Return the tangent with a factor: of its own, or of an old tangent near it."""
-        for safe in (positive, True):
-            K = deformed.tangent(positive=safe)
+        exact = None if positive else deformed.tangent()
+        for share in (0.0, BLEND, 1.0)[2 if positive else 0 :]:
+            safe = share == 1
+            K = exact if share == 0 else deformed.tangent(positive=True)
+            if exact is not None and 0 < share < 1:
+                K = exact + share * (K - exact)
             inner: Any = self.model.pattern.condense(K, self.free, self.free)
-            if old is not None and not safe:
+            if old is not None and share == 0:
                 self.near = Near(self.free, K, inner.tocsr(), old.factor, False)
                 return self.near
             try:
