@@ -157,6 +157,9 @@ def push(
     young: Annotated[float, typer.Option(help="Young's modulus [Pa].")] = 6e9,
     poisson: Annotated[float, typer.Option(help="Poisson's ratio.")] = 0.3,
     solver: Annotated[str, typer.Option(help="auto, direct or multigrid.")] = "auto",
+    kinematics: Annotated[
+        str, typer.Option(help="linear, or corotational for large rotations.")
+    ] = "linear",
     out: Annotated[Path | None, typer.Option(help="Write the state here: .vtu")] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the state here: .png")] = None,
 ) -> None:
@@ -174,6 +177,7 @@ def push(
         ps.Material(young, poisson),
         fixed=_ids(fixed, "fixed", found),
         solver=solver,  # type: ignore[arg-type]
+        kinematics=kinematics,  # type: ignore[arg-type]
     )
     state = model.solve(ps.move(_ids(moved, "moved", found), _numbers(by, "by", 3)))
     typer.echo(repr(state))

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 from plantsim.arrays import Array
 from plantsim.elastic.deformed import Deformed
 from plantsim.elastic.limb_table import LimbTable, limb_table
+from plantsim.elastic.strength import margins
 from plantsim.errors import SolverError
 from plantsim.solve.stats import SolveStats
 
@@ -105,6 +106,15 @@ class Equilibrium:
             return self.linear.base_factor()[1].definite
         except SolverError:
             return False
+
+    @cached_property
+    def margin(self) -> dict[str, float]:
+        """Strength over the largest fibre stress of each limb by name; below 1 it breaks.
+
+        Tets at fixed and moved vertices are left out. Raises ModelError for a material
+        without strength.
+        """
+        return margins(self)
 
     def contact(self, ids: ArrayLike | str) -> "NearContact":
         """Return vertices prepared for many small displacements about this state.

@@ -22,6 +22,7 @@ from plantsim.elastic.pattern import Pattern
 from plantsim.elastic.sag import unloaded
 from plantsim.elastic.statics import equilibrium
 from plantsim.elastic.stiffness import Blocks, blocks, mass
+from plantsim.elastic.strength import warn_of_breakage
 from plantsim.elastic.supports import check_held
 from plantsim.elastic.weight import gravity
 from plantsim.errors import ModelError
@@ -203,12 +204,17 @@ class ElasticModel:
         the whole load cannot be carried, StoppedWarning says at which fraction it stopped,
         and the state is the one there.
 
+        Where the material has a strength, BreakageWarning says which limb would break.
+
         Raises ModelError for ids out of range, a vertex both fixed and moved, or moved
         twice, and SolverError when the solve misses its backward error.
         """
         if self.kinematics == "linear":
-            return equilibrium(self, loads)
-        return large_equilibrium(self, loads, start, tolerance=tolerance)
+            state = equilibrium(self, loads)
+        else:
+            state = large_equilibrium(self, loads, start, tolerance=tolerance)
+        warn_of_breakage(state)
+        return state
 
     def base_factor(self) -> tuple[Array, Factor]:
         """Return the vertices that are not fixed, and the factor of K among them."""

@@ -10,7 +10,7 @@ import logging
 import time
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -124,7 +124,7 @@ class _Task:
     factors: int = 0
     residual: float = 0.0
     last: tuple[Array, Deformed] | None = None
-    _pulls: Array | None = field(default=None)
+    share: float = 0.0  # of the loads, when last asked
 
     @classmethod
     def of(
@@ -170,6 +170,7 @@ class _Task:
 
     def load(self, u: Array, t: float) -> Array:
         """Return the external forces on free vertices at fraction t, (n, 3) [N]."""
+        self.share = t
         before, after = self.force
         dead = before + t * (after - before)
         return dead + t * self.acting.following_forces(self.model.mesh, u)
@@ -211,11 +212,13 @@ class _Task:
             near = self.tangent(deformed, self.near)
             x = self.direction(near, lack, gap)
             slope = float(np.einsum("ij,ij->", x, lack))
-            if slope <= 0 and closed:  # not downhill
+            follows = bool(self.acting.following)  # which no energy stands for
+            if slope <= 0 and closed and not follows:  # not downhill
                 near = self.tangent(deformed, None, positive=True)
                 x = self.direction(near, lack, gap)
                 slope = float(np.einsum("ij,ij->", x, lack))
-            u, length = self.search(u, x, slope, deformed, load, free=not closed)
+            free = follows or not closed
+            u, length = self.search(u, x, slope, deformed, load, free=free)
             small = small + 1 if length < 1e-2 else 0
             if small >= 3:
                 raise SolverError(f"steps of {length:.0e} at residual {self.residual:.0e}")
@@ -290,8 +293,17 @@ class _Task:
     def direction(self, near: Near, lack: Array, gap: Array) -> Array:
         """Return the step (k, 3) of the free vertices against forces out of balance."""
         b = lack.ravel()
-        if self.acting.holds:
-            return self._direction_held(near, b, gap).reshape(-1, 3)
+        if self.acting.holds and self.acting.following:
+            raise ModelError(
+                "forces that follow together with directions held alone: not both. Hold "
+                "the vertices altogether, or let the forces be dead."
+            )
+        if self.acting.holds or self.acting.following:
+            if not near.fresh:
+                near.factor, near.fresh = self._factored(near.inner), True
+            if self.acting.holds:
+                return self._direction_held(near, b, gap).reshape(-1, 3)
+            return self._direction_following(near, b).reshape(-1, 3)
         if near.fresh:
             return near.factor(b)[0].reshape(-1, 3)
         x = refined(near.inner, near.factor, b, CHEAP)
@@ -309,13 +321,38 @@ class _Task:
 
     def _direction_held(self, near: Near, b: Array, gap: Array) -> Array:
         """Return the step that also closes the gaps of directions held alone."""
-        if not near.fresh:
-            near.factor, near.fresh = self._factored(near.inner), True
         C = self._ways()
         response = near.factor(C)[0]
         x = near.factor(b)[0]
         multiplier = scipy.linalg.solve(C.T @ response, gap - C.T @ x, assume_a="sym")
         return x + response @ multiplier
+
+    def _direction_following(self, near: Near, b: Array) -> Array:
+        """Return the step that knows how forces that follow turn with it.
+
+        They add -A T to the tangent, three columns a patch: T the small turn of the patch,
+        A what a turn does to its forces. By the formula of Sherman, Morrison, Woodbury.
+        """
+        assert self.last is not None
+        u, x = self.last[0], self.model.mesh.points
+        n, some = len(x), []
+        for ids, f in self.acting.following:
+            turn, _, _ = motion(x[ids], x[ids] + u[ids])
+            now = self.share * Rotation.from_rotvec(turn).apply(f.copy())
+            arm = x[ids] + u[ids]
+            arm = arm - arm.mean(axis=0)
+            inertia = (arm**2).sum() * np.eye(3) - arm.T @ arm
+            A, T = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+            A[ids] = np.cross(np.eye(3)[None], now[:, None]).transpose(0, 2, 1)
+            # turn = inertia^-1 sum of arm x du, columns by the component of du
+            each = np.cross(arm[:, None], np.eye(3)[None])
+            T[ids] = each @ np.linalg.inv(inertia)
+            some.append((A[self.free].reshape(-1, 3), T[self.free].reshape(-1, 3)))
+        A, T = (np.hstack([pair[i] for pair in some]) for i in (0, 1))
+        solved = near.factor(b)[0]
+        response = near.factor(np.asfortranarray(A))[0]
+        core = np.eye(A.shape[1]) - T.T @ response
+        return solved + response @ np.linalg.solve(core, T.T @ solved)
 
     def _ways(self) -> Array:
         """Return the held directions as columns over the free components."""

@@ -21,8 +21,8 @@ def unloaded(
 ) -> tuple["ElasticModel", Equilibrium]:
     """Return the model whose equilibrium under `loads` has the shape of this model's mesh.
 
-    By the fixed point X <- X - (x(X) - shape), speeded by Anderson's mixing, until no vertex
-    is farther than `tolerance` [m] from the shape. Second, that equilibrium.
+    By the fixed point X <- X - (x(X) - shape), speeded by Anderson's mixing, until no
+    vertex is farther than `tolerance` [m] from the shape. Second, that equilibrium.
     Source of the fixed point: Sellier 2011, An iterative method for the inverse
     elasto-static problem; of the mixing: Walker and Ni 2011.
     """
