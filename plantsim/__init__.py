@@ -10,6 +10,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from plantsim.elastic.detachment import Detachment as Detachment
+    from plantsim.elastic.detachment import detachment as detachment
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
     from plantsim.elastic.files import write_state as write_state
     from plantsim.elastic.files import write_states as write_states
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
     from plantsim.elastic.model import ElasticModel as ElasticModel
     from plantsim.elastic.modes import modes as modes
     from plantsim.elastic.weight import gravity as gravity
+    from plantsim.elastic.wood import wood as wood
+    from plantsim.elastic.wood import wood_names as wood_names
+    from plantsim.errors import BreakageWarning as BreakageWarning
     from plantsim.errors import DependencyError as DependencyError
     from plantsim.errors import EstimateError as EstimateError
     from plantsim.errors import FileError as FileError
@@ -31,6 +36,7 @@ if TYPE_CHECKING:
     from plantsim.errors import ModelError as ModelError
     from plantsim.errors import PlantsimError as PlantsimError
     from plantsim.errors import SolverError as SolverError
+    from plantsim.errors import StoppedWarning as StoppedWarning
     from plantsim.estimation.estimate import Estimate as Estimate
     from plantsim.estimation.estimate import estimate as estimate
     from plantsim.estimation.files import read_observations as read_observations
@@ -83,6 +89,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "plantsim.elastic.detachment": ("Detachment", "detachment"),
     "plantsim.elastic.equilibrium": ("Equilibrium",),
     "plantsim.elastic.files": ("write_state", "write_states"),
     "plantsim.elastic.loads": ("force", "hang", "hold", "move", "traction"),
@@ -90,7 +97,9 @@ _HOME = {
     "plantsim.elastic.model": ("ElasticModel",),
     "plantsim.elastic.modes": ("modes",),
     "plantsim.elastic.weight": ("gravity",),
+    "plantsim.elastic.wood": ("wood", "wood_names"),
     "plantsim.errors": (
+        "BreakageWarning",
         "DependencyError",
         "EstimateError",
         "FileError",
@@ -100,6 +109,7 @@ _HOME = {
         "ModelError",
         "PlantsimError",
         "SolverError",
+        "StoppedWarning",
     ),
     "plantsim.estimation.estimate": ("Estimate", "estimate"),
     "plantsim.estimation.force_matrix": ("force_matrix",),

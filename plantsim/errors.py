@@ -40,6 +40,14 @@ class DependencyError(PlantsimError, ImportError):
     """An optional package or a system library that is not installed."""
 
 
+class StoppedWarning(UserWarning):
+    """A load was carried in part only; the state's stats tell how much."""
+
+
+class BreakageWarning(UserWarning):
+    """A state in which a limb would break."""
+
+
 def needs(package: str, extra: str) -> Any:
     """Return an optional package; DependencyError, with the pip line, where absent."""
     try:

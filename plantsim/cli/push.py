@@ -22,6 +22,9 @@ def push(
     young: Annotated[float, typer.Option(help="Young's modulus [Pa].")] = 6e9,
     poisson: Annotated[float, typer.Option(help="Poisson's ratio.")] = 0.3,
     solver: Annotated[str, typer.Option(help="auto, direct or multigrid.")] = "auto",
+    kinematics: Annotated[
+        str, typer.Option(help="linear, or corotational for large rotations.")
+    ] = "linear",
     out: Annotated[
         Path | None,
         typer.Option(help="Write the state here: .vtu; deformed surface: .stl .."),
@@ -45,6 +48,7 @@ def push(
             ps.Material(young, poisson),
             fixed=ids_from(fixed, "fixed", found),
             solver=solver,  # type: ignore[arg-type]
+            kinematics=kinematics,  # type: ignore[arg-type]
         )
         with working(f"bending {source.name}"):
             state = model.solve(

@@ -8,14 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
 
 from plantsim.arrays import Array
 from plantsim.cards import card
+from plantsim.elastic.deformed import Deformed
 from plantsim.elastic.limb_table import LimbTable, limb_table
+from plantsim.elastic.strength import margins
+from plantsim.errors import SolverError
 from plantsim.solve.stats import SolveStats
 
 if TYPE_CHECKING:
     from plantsim.elastic.model import ElasticModel
+    from plantsim.elastic.near import NearContact
+    from plantsim.elastic.newton import Near
 
 LINEAR_LIMIT = np.radians(5.0)  # rotation above which the repr warns of linear theory
 # against a corotational model, ten vertices of a reference tree moved 1, 5 and 15 cm
@@ -33,33 +40,32 @@ class Equilibrium:
     force: Array
     moved: Array  # (k,) ids of the moved vertices
     stats: SolveStats
+    near: "Near | None" = None  # a corotational model's tangent, to start the next from
+
+    @cached_property
+    def deformed(self) -> Deformed:
+        """Strain, stress and tangent of the model here."""
+        return self.model.deformed(self.displacement)
 
     @cached_property
     def energy(self) -> float:
-        """Strain energy [J], u . K u / 2."""
-        u = self.displacement.ravel()
-        return float(u @ (self.model.stiffness @ u) / 2)
+        """Strain energy [J]."""
+        return self.deformed.energy
 
     @cached_property
     def gradient(self) -> Array:
         """Mean displacement gradient of each tet, (m, 3, 3), [i, j] = d u_i / d x_j."""
-        mesh = self.model.mesh
-        return np.einsum(
-            "eaj,eai->eij", self.model.blocks.gradient, self.displacement[mesh.tets]
-        )
+        return self.deformed.gradient
 
     @cached_property
     def strain(self) -> Array:
-        """Mean infinitesimal strain of each tet, (m, 3, 3)."""
-        return (self.gradient + self.gradient.transpose(0, 2, 1)) / 2
+        """Mean strain of each tet, (m, 3, 3); of a corotational model in rest axes."""
+        return self.deformed.strain
 
     @cached_property
     def stress(self) -> Array:
-        """Mean Cauchy stress of each tet, (m, 3, 3) [Pa]."""
-        strain = self.strain
-        mu, lam, _ = self.model.material.per_tet(len(strain))
-        spherical = lam * np.trace(strain, axis1=1, axis2=2)
-        return 2 * mu[:, None, None] * strain + spherical[:, None, None] * np.eye(3)
+        """Mean Cauchy stress of each tet, (m, 3, 3) [Pa], for small strains."""
+        return self.deformed.stress
 
     @cached_property
     def von_mises(self) -> Array:
@@ -75,6 +81,49 @@ class Equilibrium:
         R = u @ vt
         cosine = (np.trace(R, axis1=1, axis2=2) * np.sign(np.linalg.det(R)) - 1) / 2
         return float(np.arccos(np.clip(cosine, -1, 1)).max())
+
+    @cached_property
+    def tangent(self) -> csr_array:
+        """Derivative of the forces here, (3n, 3n) [N/m]; of a linear model K."""
+        return self.deformed.tangent()
+
+    @cached_property
+    def linear(self) -> "ElasticModel":
+        """The linear model about this state: K is the tangent, moved vertices are fixed.
+
+        Its displacements and forces are changes from this state; so are its contacts, modes
+        and factors.
+        """
+        held = np.union1d(self.model.fixed_ids, self.moved)
+        return self.model.about(self.tangent, held)
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether the plant would stay here, that is, the tangent is positive definite.
+
+        Where vertices are held along some directions only, they count as held altogether.
+        """
+        try:
+            return self.linear.base_factor()[1].definite
+        except SolverError:
+            return False
+
+    @cached_property
+    def margin(self) -> dict[str, float]:
+        """Strength over the largest fibre stress of each limb by name; below 1 it breaks.
+
+        Tets at fixed and moved vertices are left out. Raises ModelError for a material
+        without strength.
+        """
+        return margins(self)
+
+    def contact(self, ids: ArrayLike | str) -> "NearContact":
+        """Return vertices prepared for many small displacements about this state.
+
+        Those among the moved ones are taken hold of; other moved ones stay where they are.
+        """
+        near = importlib.import_module("plantsim.elastic.near")
+        return near.near_contact(self, self.model.vertices(ids, "contact"))
 
     @cached_property
     def limbs(self) -> LimbTable:

@@ -72,9 +72,10 @@ def limb_table(state: "Equilibrium") -> LimbTable:
     """
     model, mesh = state.model, state.model.mesh
     region = np.asarray(mesh.region)
-    mu, lam, _ = model.material.per_tet(len(region))
-    unit_mu, unit_lam = model.blocks.forces(mesh.tets, state.displacement)
-    nodal = mu[:, None, None] * unit_mu + lam[:, None, None] * unit_lam
+    nodal = state.deformed.tet_forces
+    at = mesh.points
+    if model.kinematics != "linear":  # arms are those of the plant where it is
+        at = at + state.displacement
     touches = _touching(mesh.tets, region, len(mesh.points), len(mesh.region_names))
     fixed = np.zeros(len(mesh.points), dtype=bool)
     fixed[model.fixed_ids] = True
@@ -93,13 +94,13 @@ def limb_table(state: "Equilibrium") -> LimbTable:
         outside[mesh.tets[~on]] = True
         section = np.flatnonzero(inside & (outside | fixed))
         ids = np.unique(mesh.tets[own])
-        centre = mesh.points[section].mean(axis=0)
-        far = ids[np.linalg.norm(mesh.points[ids] - centre, axis=1).argmax()]
+        centre = at[section].mean(axis=0)
+        far = ids[np.linalg.norm(at[ids] - centre, axis=1).argmax()]
         share = mesh.volumes[own] / mesh.volumes[own].sum()
-        axis = share @ mesh.points[mesh.tets[own, :4]].mean(axis=1) - centre
+        axis = share @ at[mesh.tets[own, :4]].mean(axis=1) - centre
         axis /= max(float(np.linalg.norm(axis)), 1e-300)
         total = force[section].sum(axis=0)
-        moment = np.cross(mesh.points[section] - centre, force[section]).sum(axis=0)
+        moment = np.cross(at[section] - centre, force[section]).sum(axis=0)
         rows.append(
             LimbLoad(
                 name,

@@ -39,6 +39,7 @@ class Force:
 
     ids: ArrayLike
     force: Array  # (3,) in all, shared evenly, or (k, 3)
+    follows: bool = False  # turns with its vertices, which are taken for a rigid patch
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +136,16 @@ def hold(
     return Hold(ids, axes[len(ways) :], d)
 
 
-def force(ids: ArrayLike, force: ArrayLike) -> Force:
+def force(ids: ArrayLike, force: ArrayLike, *, follows: bool = False) -> Force:
     """Return a force [N] on vertices.
 
-    (3,) in all, shared evenly, or one row a vertex, (k, 3).
+    (3,) in all, shared evenly, or one row a vertex, (k, 3). It is a dead load, the same
+    however the plant turns, as gravity is; with `follows=True` it turns with the patch of
+    its vertices, as a grip's or a thruster's does. In linear theory there is no difference.
 
     `ids`: vertex ids or a set's name. Raises ModelError for shapes that do not fit.
     """
-    return Force(ids, _rows("force", ids, force))
+    return Force(ids, _rows("force", ids, force), follows)
 
 
 def traction(where: ArrayLike, stress: ArrayLike) -> Traction:

@@ -23,9 +23,15 @@ class Material:
     mu: Array  # () or (m,) [Pa], shear modulus
     lam: Array  # () or (m,) [Pa]
     density: Array  # () or (m,) [kg/m^3]
+    strength: Array | None  # () or (m,) [Pa], fibre stress at which it breaks, if known
 
     def __init__(
-        self, young: ArrayLike = 6e9, poisson: ArrayLike = 0.3, density: ArrayLike = 800.0
+        self,
+        young: ArrayLike = 6e9,
+        poisson: ArrayLike = 0.3,
+        density: ArrayLike = 800.0,
+        *,
+        strength: ArrayLike | None = None,
     ) -> None:
         E, nu = _entry("young", young), _entry("poisson", poisson)
         _check("young", E, E > 0, "above 0 Pa")
@@ -33,9 +39,20 @@ class Material:
         _lengths(young=E, poisson=nu)
         # Source: any text on elasticity, e.g. Gould, Introduction to Linear Elasticity,
         # table 4.1
-        self._fill(E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu)), density)
+        lam = E * nu / ((1 + nu) * (1 - 2 * nu))
+        self._fill(E / (2 * (1 + nu)), lam, density, strength)
 
-    def _fill(self, mu: ArrayLike, lam: ArrayLike, density: ArrayLike) -> None:
+    def _fill(
+        self,
+        mu: ArrayLike,
+        lam: ArrayLike,
+        density: ArrayLike,
+        strength: ArrayLike | None,
+    ) -> None:
+        bears = None if strength is None else _entry("strength", strength)
+        if bears is not None:
+            _check("strength", bears, bears > 0, "above 0 Pa")
+        object.__setattr__(self, "strength", bears)
         rho = _entry("density", density)
         _check("density", rho, rho >= 0, "0 kg/m^3 or more")
         object.__setattr__(self, "mu", _entry("mu", mu))
@@ -44,7 +61,14 @@ class Material:
         _lengths(mu=self.mu, lam=self.lam, density=rho)
 
     @classmethod
-    def lame(cls, mu: ArrayLike, lam: ArrayLike, density: ArrayLike = 0.0) -> Self:
+    def lame(
+        cls,
+        mu: ArrayLike,
+        lam: ArrayLike,
+        density: ArrayLike = 0.0,
+        *,
+        strength: ArrayLike | None = None,
+    ) -> Self:
         """Return the material with these Lame parameters [Pa].
 
         Raises MaterialError unless mu > 0 and 3 lam + 2 mu > 0, which is Poisson's ratio in
@@ -58,7 +82,7 @@ class Material:
             "lam", l, 3 * l + 2 * m > 0, "above -2/3 mu, so that Poisson's ratio exceeds -1"
         )
         out = cls.__new__(cls)
-        out._fill(mu, lam, density)
+        out._fill(mu, lam, density, strength)
         return out
 
     @property
@@ -73,19 +97,19 @@ class Material:
 
     def with_young(self, young: ArrayLike) -> Self:
         """Return the material with another Young's modulus and the same Poisson's ratio."""
-        return type(self)(young, self.poisson, self.density)
+        return type(self)(young, self.poisson, self.density, strength=self.strength)
 
     def with_density(self, density: ArrayLike) -> Self:
         """Return the material with another density."""
         out = type(self).__new__(type(self))
-        out._fill(self.mu, self.lam, density)
+        out._fill(self.mu, self.lam, density, self.strength)
         return out
 
     def per_tet(self, count: int) -> tuple[Array, Array, Array]:
         """Return mu, lam and density, each (count,); MaterialError if they do not fit."""
-        for name in ("mu", "lam", "density"):
+        for name in ("mu", "lam", "density", "strength"):
             value = getattr(self, name)
-            if value.ndim and len(value) != count:
+            if value is not None and value.ndim and len(value) != count:
                 raise MaterialError(
                     f"{name} has {len(value)} values for {count} tets. Give one value, or "
                     "one a tet."

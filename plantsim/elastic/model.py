@@ -14,13 +14,20 @@ from scipy.sparse import csr_array
 from plantsim.arrays import Array
 from plantsim.cards import card
 from plantsim.elastic.contact import Columns, Contact
+from plantsim.elastic.corotational import Points
+from plantsim.elastic.deformed import Deformed, Small
+from plantsim.elastic.drag import Drag
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Load, ids_in
 from plantsim.elastic.material import Material
+from plantsim.elastic.newton import large_equilibrium
 from plantsim.elastic.pattern import Pattern
+from plantsim.elastic.sag import unloaded
 from plantsim.elastic.statics import equilibrium
 from plantsim.elastic.stiffness import Blocks, blocks, mass
+from plantsim.elastic.strength import warn_of_breakage
 from plantsim.elastic.supports import check_held
+from plantsim.elastic.weight import gravity
 from plantsim.errors import ModelError
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.solve.direct import Direct
@@ -34,7 +41,10 @@ MANY = 60  # moved vertices up to which their dense compliance is small
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ElasticModel:
-    """Linear elasticity of a mesh, held at `fixed`.
+    """Elasticity of a mesh, held at `fixed`.
+
+    `kinematics`: "linear", right for rotations up to some 5 degrees, or "corotational", for
+    rotations of any size and small strains; `solve` then goes by Newton's method.
 
     `fixed`: a set's name or vertex ids. `solver`: "auto" (direct up to 400,000 unknowns, a
     million with pypardiso, else multigrid), "direct", "multigrid", or a solver value such
@@ -49,12 +59,16 @@ class ElasticModel:
     material: Material
     fixed: Array | str | ArrayLike = "base"
     solver: Choice = "auto"
-    kinematics: Literal["linear"] = "linear"
+    kinematics: Literal["linear", "corotational"] = "linear"
     _shared: "_Shared | None" = field(default=None, kw_only=True)
+    _tangent: csr_array | None = field(default=None, kw_only=True)  # about a state
 
     def __post_init__(self) -> None:
-        if self.kinematics != "linear":
-            raise ModelError(f"kinematics {self.kinematics!r} is not known; give 'linear'.")
+        if self.kinematics not in ("linear", "corotational"):
+            raise ModelError(
+                f"kinematics {self.kinematics!r} is not known; give 'linear' or "
+                "'corotational'."
+            )
         self.material.per_tet(len(self.mesh.tets))
         choose(self.solver, 0)
         ids = ids_in(self.mesh, self.fixed, "fixed")
@@ -64,6 +78,7 @@ class ElasticModel:
         if shared is None or shared.mesh is not self.mesh:
             shared = _Shared(self.mesh)
             object.__setattr__(self, "_shared", shared)
+            object.__setattr__(self, "_tangent", None)
         shared.check_held(ids)
 
     def vertices(self, ids: ArrayLike | str, what: str = "vertices") -> Array:
@@ -72,13 +87,35 @@ class ElasticModel:
 
     def with_material(self, material: Material) -> Self:
         """Return the same model of another material; blocks and pattern are shared."""
-        return replace(self, material=material)
+        return replace(self, material=material, _tangent=None)
 
     @property
     def blocks(self) -> Blocks:
         """Unit-parameter blocks of the tets, made at first use and shared."""
         assert self._shared is not None
         return self._shared.blocks
+
+    @property
+    def points(self) -> Points:
+        """Points at which corotational strain is measured, made at first use and shared."""
+        assert self._shared is not None
+        return self._shared.points
+
+    def deformed(self, u: Array) -> Deformed:
+        """Return energy, strain, forces and tangent under displacements u (n, 3) [m]."""
+        if self.kinematics == "linear":
+            return Small(self, u)
+        mu, lam, _ = self.material.per_tet(len(self.mesh.tets))
+        return self.points.at(u, mu, lam)
+
+    @property
+    def about_a_state(self) -> bool:
+        """Whether K is the tangent at a state, which need not be positive definite."""
+        return self._tangent is not None
+
+    def about(self, tangent: csr_array, held: Array) -> Self:
+        """Return the linear model with this tangent for its K, fixed where `held`."""
+        return replace(self, kinematics="linear", fixed=held, _tangent=tangent)
 
     @property
     def pattern(self) -> Pattern:
@@ -88,7 +125,12 @@ class ElasticModel:
 
     @cached_property
     def stiffness(self) -> csr_array:
-        """K (3n, 3n) [N/m] over all vertices: x, y, z of vertex 0, then of vertex 1, ..."""
+        """K (3n, 3n) [N/m] over all vertices: x, y, z of vertex 0, then of vertex 1, ...
+
+        That of the plant at rest, unless the model is `state.linear`.
+        """
+        if self._tangent is not None:
+            return self._tangent
         mu, lam, _ = self.material.per_tet(len(self.mesh.tets))
         return self.blocks.stiffness(mu, lam)
 
@@ -154,13 +196,27 @@ class ElasticModel:
         solver = choose(self.solver, 3 * len(self.mesh.points))
         return isinstance(solver, Direct) or self.columns.missing(moved) == 0
 
-    def solve(self, *loads: Load) -> Equilibrium:
+    def solve(
+        self, *loads: Load, start: Equilibrium | None = None, tolerance: float = 1e-8
+    ) -> Equilibrium:
         """Return the equilibrium under these loads together: `move`, `force`, `gravity`...
+
+        For a corotational model: `start` is a state to go on from, which saves steps and
+        chooses among several equilibria; forces balance to `tolerance` of their size. Where
+        the whole load cannot be carried, StoppedWarning says at which fraction it stopped,
+        and the state is the one there.
+
+        Where the material has a strength, BreakageWarning says which limb would break.
 
         Raises ModelError for ids out of range, a vertex both fixed and moved, or moved
         twice, and SolverError when the solve misses its backward error.
         """
-        return equilibrium(self, loads)
+        if self.kinematics == "linear":
+            state = equilibrium(self, loads)
+        else:
+            state = large_equilibrium(self, loads, start, tolerance=tolerance)
+        warn_of_breakage(state)
+        return state
 
     def base_factor(self) -> tuple[Array, Factor]:
         """Return the vertices that are not fixed, and the factor of K among them."""
@@ -173,7 +229,43 @@ class ElasticModel:
         `dtype=numpy.float32` halves the memory and the time of a field. Raises ModelError
         for ids out of range or fixed.
         """
+        if self.kinematics != "linear":
+            raise ModelError(
+                "contact is linear, about one state of a corotational model: take "
+                "state.contact(ids), or model.drag(ids) to go far."
+            )
         return Contact(self, ids_in(self.mesh, ids, "contact"), dtype)
+
+    def drag(
+        self,
+        ids: ArrayLike | str,
+        *loads: Load,
+        start: Equilibrium | None = None,
+        tolerance: float = 1e-4,
+    ) -> Drag:
+        """Return vertices to be led along frame by frame: `drag.to(d)` is an equilibrium.
+
+        `loads` act all the while. Corotational models only.
+        """
+        on = ids_in(self.mesh, ids, "drag")
+        return Drag(self, on, loads, start=start, tolerance=tolerance)
+
+    def settled(self, *loads: Load) -> Equilibrium:
+        """Return the plant under its own weight, or under `loads` instead.
+
+        With `ps.gravity(masses=skeleton.masses)` under that of its leaves and fruit too. Go
+        on from it with `solve(..., start=...)`, naming the weight again.
+        """
+        return self.solve(*(loads or (gravity(),)))
+
+    def unloaded(self, *loads: Load, tolerance: float = 1e-6) -> "ElasticModel":
+        """Return the model that sags to the shape of this one's mesh under its weight.
+
+        For a plant scanned or photographed where it stands: under `loads` (its own weight
+        where none are given) the model returned has the scanned shape, to `tolerance` [m],
+        so that it is not bent twice. Raises SolverError where there is no such shape.
+        """
+        return unloaded(self, loads or (gravity(),), tolerance)[0]
 
     @cached_property
     def nodal_mass(self) -> Array:
@@ -201,8 +293,9 @@ class ElasticModel:
         fixed = self.fixed_ids
         solver = self.solver if isinstance(self.solver, str) else type(self.solver).__name__
         free = 3 * (len(self.mesh.points) - len(fixed))
+        kind = "" if self.kinematics == "linear" else f"{self.kinematics}, "
         return (
-            f"ElasticModel({len(self.mesh.tets):,} tets of order {self.mesh.order}, "
+            f"ElasticModel({kind}{len(self.mesh.tets):,} tets of order {self.mesh.order}, "
             f"{free:,} unknowns, {len(fixed)} vertices fixed, solver {solver}; "
             f"{self.material!r})"
         )
@@ -218,6 +311,15 @@ class Nothing:
     def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, float]:
         """Return f, which is empty."""
         return f, 0, 0.0
+
+    def precondition(self, f: Array) -> Array:
+        """Return f, which is empty."""
+        return f
+
+    @property
+    def definite(self) -> bool:
+        """True of no unknowns."""
+        return True
 
 
 class _Shared:
@@ -236,6 +338,10 @@ class _Shared:
     @cached_property
     def blocks(self) -> Blocks:
         return blocks(self.mesh, self.pattern)
+
+    @cached_property
+    def points(self) -> Points:
+        return Points.of(self.mesh, self.pattern)
 
     @cached_property
     def pattern(self) -> Pattern:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh, lobpcg
 
 from plantsim.arrays import Array
+from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import ModelError, SolverError
 from plantsim.solve.multigrid import MultigridFactor, rigid_modes
@@ -21,7 +22,7 @@ class Modes:
     """Natural frequencies and shapes of a model, slowest first."""
 
     model: ElasticModel
-    frequency: Array  # (count,) [Hz]
+    frequency: Array  # (count,) [Hz]; below 0 what grows, exp(2 pi |f| t), at a state
     shape: Array  # (count, n, 3), scaled so that phi . M phi = 1 kg m^2
     residual: Array  # (count,) |K phi - omega^2 M phi| / |omega^2 M phi|
 
@@ -42,13 +43,18 @@ class _Inverse(LinearOperator):
         return self._factor(x.ravel())[0]
 
 
-def modes(model: ElasticModel, count: int = 6) -> Modes:
+def modes(model: ElasticModel | Equilibrium, count: int = 6) -> Modes:
     """Return the `count` slowest natural vibrations of a model, small and undamped.
+
+    Given a state, the vibrations about it: a limb under load is slower or faster, and what
+    buckles has a negative frequency.
 
     With a direct factor by Lanczos, inverse about zero; with multigrid by LOBPCG, which it
     preconditions (Knyazev 2001). Raises ModelError where there is no mass or there are too
     few unknowns, SolverError where the vibrations did not converge.
     """
+    if isinstance(model, Equilibrium):
+        model = model.linear
     free, factor = model.base_factor()
     size = 3 * len(free)
     if not 1 <= count < size // 5:
@@ -87,7 +93,7 @@ def modes(model: ElasticModel, count: int = 6) -> Modes:
         )
     shape = np.zeros((count, len(model.mesh.points), 3))
     shape[:, free] = phi.T.reshape(count, -1, 3)
-    frequency = np.sqrt(square) / (2 * np.pi)
+    frequency = np.sign(square) * np.sqrt(np.abs(square)) / (2 * np.pi)
     for array in (shape, frequency, off):
         array.flags.writeable = False
     return Modes(model, frequency, shape, off)

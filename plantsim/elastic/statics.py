@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg
+from scipy.spatial.transform import Rotation
 
 from plantsim.arrays import Array, few
 from plantsim.elastic.contact import Contact
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Composite, Force, Gravity, Hold, Load, Move, ids_in
 from plantsim.errors import ModelError
+from plantsim.mesh.tetmesh import TetMesh
 from plantsim.solve.stats import SolveStats
 
 if TYPE_CHECKING:
@@ -28,6 +30,33 @@ class Acting:
     moved: Array  # (k,) ids, in the order given
     # vertex, direction (3,), displacement [m] of every direction that is held alone
     holds: list[tuple[int, Array, float]] = field(default_factory=list)
+    patches: list[Array] = field(default_factory=list)  # ids of each load that moves
+    # ids and forces (k, 3) [N] at rest of each load that turns with its vertices
+    following: list[tuple[Array, Array]] = field(default_factory=list)
+
+    def following_forces(self, mesh: TetMesh, u: Array) -> Array:
+        """Return the forces that follow, (n, 3) [N], where displacements u have them."""
+        out = np.zeros_like(mesh.points)
+        for ids, f in self.following:
+            x = mesh.points[ids]
+            turn = motion(x, x + u[ids])[0]
+            out[ids] += Rotation.from_rotvec(turn).apply(f.copy())
+        return out
+
+
+def motion(one: Array, other: Array) -> tuple[Array, Array, Array]:
+    """Return the turn [rad] and both centres of the rigid motion nearest to one -> other.
+
+    By singular values. Source: Kabsch 1976.
+    """
+    at, to = one.mean(axis=0), other.mean(axis=0)
+    if len(one) < 3:
+        return np.zeros(3), at, to
+    U, s, Vt = np.linalg.svd((other - to).T @ (one - at))
+    if s[1] <= 1e-9 * max(float(s[0]), 1e-300):  # in line: the turn about it is unknown
+        return np.zeros(3), at, to
+    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
+    return Rotation.from_matrix(U @ Vt).as_rotvec(), at, to
 
 
 def gathered(model: "ElasticModel", loads: Iterable[Load]) -> Acting:
@@ -45,6 +74,7 @@ def gathered(model: "ElasticModel", loads: Iterable[Load]) -> Acting:
             _check(ids, fixed, np.append(out.moved, held))
             out.displacement[ids] = _fit(load.displacement, ids)
             out.moved = np.concatenate([out.moved, ids])
+            out.patches.append(ids)
         elif isinstance(load, Hold):
             ids = ids_in(mesh, load.ids, "held")
             _check(ids, fixed, np.append(out.moved, held))
@@ -58,7 +88,12 @@ def gathered(model: "ElasticModel", loads: Iterable[Load]) -> Acting:
         elif isinstance(load, Force):
             ids = ids_in(mesh, load.ids, "force")
             share = max(len(ids), 1) if load.force.ndim == 1 else 1
-            out.force[ids] += _fit(load.force, ids) / share
+            f = np.broadcast_to(_fit(load.force, ids) / share, (len(ids), 3))
+            if load.follows:
+                _check_patch(mesh.points[ids], ids)
+                out.following.append((ids, f))
+            else:
+                out.force[ids] += f
         elif isinstance(load, Gravity):
             out.force += model.nodal_mass[:, None] * load.acceleration
         elif isinstance(load, Composite):
@@ -75,6 +110,8 @@ def equilibrium(model: "ElasticModel", loads: Iterable[Load]) -> Equilibrium:
     """Return the equilibrium of a model under loads."""
     began = time.perf_counter()
     acting = gathered(model, loads)
+    for ids, follower in acting.following:
+        acting.force[ids] += follower
     held = np.union1d(model.fixed_ids, acting.moved)
     if len(acting.moved) and not acting.holds and model.columns_pay(held, acting.moved):
         u, (name, backend, unknowns, iterations, error) = _by_contact(model, acting)
@@ -150,6 +187,15 @@ def _fit(rows: Array, ids: Array) -> Array:
             f"{len(rows)} rows for {len(ids)} vertices. Give one row a vertex."
         )
     return rows
+
+
+def _check_patch(x: Array, ids: Array) -> None:
+    spread = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) if len(x) > 2 else [1, 0]
+    if spread[1] <= 1e-6 * spread[0]:
+        raise ModelError(
+            f"a force that follows on {len(ids)} vertices in line (first ids: {few(ids)}), "
+            "whose turn is unknown. Name three or more that are not in line."
+        )
 
 
 def _check(ids: Array, fixed: Array, moved: Array) -> None:

@@ -209,6 +209,24 @@ def _fields(basis: Any) -> tuple[Array, Array, Array]:
     return np.ascontiguousarray(G), N.transpose(1, 0, 2), dx
 
 
+def point_gradients(mesh: TetMesh) -> tuple[Array, Array]:
+    """Return gradients of shape functions at points, (m, c, 3q) [1/m]; weights (m, q).
+
+    One point a tet at order 1, four at order 2 (degree 2), curved ones alike.
+    """
+    m, c = mesh.tets.shape
+    q = 1 if c == 4 else 4
+    gradient, weight = np.empty((m, c, 3 * q)), np.empty((m, q))
+    for kind, curved in ((~mesh.bent, False), (mesh.bent, True)):
+        chosen = np.flatnonzero(kind)
+        for start in range(0, len(chosen), CHUNK):
+            part = chosen[start : start + CHUNK]
+            basis: Any = scalar_basis(mesh.points, mesh.tets[part], curved, few=True)
+            G, _, weight[part] = _fields(basis)
+            gradient[part] = G.transpose(0, 1, 3, 2).reshape(len(part), c, 3 * q)
+    return gradient, weight
+
+
 def mass(mesh: TetMesh, pattern: Pattern, density: Array) -> csr_array:
     """Return the consistent mass matrix (3n, 3n) [kg]; density (m,) [kg/m^3]."""
     one, other = np.triu_indices(mesh.tets.shape[1])
@@ -231,11 +249,17 @@ def mass(mesh: TetMesh, pattern: Pattern, density: Array) -> csr_array:
 
 
 def scalar_basis(
-    points: Array, tets: Array, curved: bool, *, exact_mass: bool = False
+    points: Array,
+    tets: Array,
+    curved: bool,
+    *,
+    exact_mass: bool = False,
+    few: bool = False,
 ) -> Basis:
     """Return scikit-fem's scalar basis; local functions in the order of columns.
 
-    `exact_mass`: integrate products of shape functions, not of gradients, exactly.
+    `exact_mass`: integrate products of shape functions, not of gradients, exactly. `few`:
+    on curved tets the points of straight ones.
     """
     used, local = np.unique(tets, return_inverse=True)
     local = np.ascontiguousarray(local.reshape(tets.shape).T, dtype=np.int32)
@@ -244,7 +268,7 @@ def scalar_basis(
         # products of gradients on curved tets are rational: degree 4 holds them to ~1e-5;
         # shape functions are quadratic and det J is cubic
         mesh = MeshTet2(p, local, validate=False)
-        return Basis(mesh, ElementTetP2(), intorder=7 if exact_mass else 4)
+        return Basis(mesh, ElementTetP2(), intorder=2 if few else 7 if exact_mass else 4)
     mesh = MeshTet(p, local[:4], validate=False)
     if len(local) == 4:
         return Basis(mesh, ElementTetP1(), intorder=2 if exact_mass else 1)

@@ -23,7 +23,6 @@ from plantsim.arrays import Array
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
-from plantsim.estimation.force_matrix import unit_forces
 from plantsim.solve.stats import norm
 
 ACCEPTED = 1e-8  # backward error of an equilibrium
@@ -130,7 +129,7 @@ class Response:
         data = np.empty((T, len(order)))
         both = np.empty((2, m, 3 * c))
         for t in range(T):
-            unit_mu, unit_lam = unit_forces(self.model, self.fields[:, :, t])
+            unit_mu, unit_lam = self.model.deformed(self.fields[:, :, t]).unit_forces()
             np.multiply(unit_mu.reshape(m, -1), mu[:, None], out=both[0])
             np.multiply(unit_lam.reshape(m, -1), lam[:, None], out=both[1])
             data[t] = both.reshape(-1)[order]

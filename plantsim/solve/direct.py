@@ -80,6 +80,21 @@ class DirectFactor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
 
+    @property
+    def definite(self) -> bool:
+        """Whether K is positive definite, by the signs of its pivots (Sylvester)."""
+        return self._definite
+
+    @cached_property
+    def _definite(self) -> bool:
+        if isinstance(self.lu, _Pardiso):
+            return True  # its factor would have failed
+        return bool((self.lu.U.diagonal() > 0).all())
+
+    def precondition(self, f: Array) -> Array:
+        """Return K^-1 f, unchecked."""
+        return self.lu.solve(f)
+
     def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), 0 iterations and the backward errors.
 

@@ -76,9 +76,18 @@ class MultigridFactor:
         object.__setattr__(self, "size", norm_inf(self.K))
 
     @property
+    def definite(self) -> bool:
+        """True: CG fails, and says so, where K is not positive definite enough for it."""
+        return True
+
+    @property
     def preconditioner(self) -> Any:
         """One V cycle as a linear operator."""
         return self.levels.aspreconditioner(cycle="V")
+
+    def precondition(self, f: Array) -> Array:
+        """Return one V cycle on f."""
+        return self.preconditioner @ f
 
     def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), the CG iterations, the backward errors."""

@@ -23,6 +23,15 @@ class Factor(Protocol):
         """Library routine that does the work."""
         ...
 
+    @property
+    def definite(self) -> bool:
+        """Whether the system is positive definite, as far as the factor can tell."""
+        ...
+
+    def precondition(self, f: Array) -> Array:
+        """Return K^-1 f or near it, unchecked and cheap; symmetric in f."""
+        ...
+
     def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, Array]:
         """Return the solution for f, (n,) or (n, k), the iterations and the backward error.
 

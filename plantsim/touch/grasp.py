@@ -43,23 +43,27 @@ class Grasp:
     def wrench(self, state: Equilibrium) -> Array:
         """Return the gripper's force [N] and torque about the centre [N m], (6,).
 
-        Linear theory: arms are those at rest.
+        In linear theory arms and centre are those at rest; of a corotational model those
+        where the patch is.
         """
-        mesh = state.model.mesh
-        return _modes(mesh, self).T @ state.force[self.on(mesh)].ravel()
+        mesh, ids = state.model.mesh, self.on(state.model.mesh)
+        x = mesh.points[ids]
+        if state.model.kinematics != "linear":
+            x = x + state.displacement[ids]
+        return _modes(x).T @ state.force[ids].ravel()
 
     def stiffness(self, model: ElasticModel) -> Array:
         """Return the grasp stiffness (6, 6), symmetric: d wrench / d (shift, small turn).
 
         In N/m, N/rad, N m/m and N m/rad. Singular where the patch is a point or a line.
         """
-        B = _modes(model.mesh, self)
+        B = _modes(model.mesh.points[self.on(model.mesh)])
         return B.T @ model.contact(self.on(model.mesh)).stiffness @ B
 
 
-def _modes(mesh: TetMesh, patch: Grasp) -> Array:
-    """Return the displacements (3k, 6) of unit shifts and small turns of the patch."""
-    arm = mesh.points[patch.on(mesh)] - patch.centre(mesh)
+def _modes(x: Array) -> Array:
+    """Return the displacements (3k, 6) of unit shifts and small turns of points (k, 3)."""
+    arm = x - x.mean(axis=0)
     shift = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
     turn = np.stack([np.cross(axis, arm) for axis in np.eye(3)], axis=2)
     return np.concatenate([shift, turn], axis=2).reshape(-1, 6)

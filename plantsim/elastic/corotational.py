@@ -1,0 +1,260 @@
+"""Corotational elasticity: strain measured after the rotation of each point is taken out.
+
+With F = I + grad u, its nearest rotation R and the stretch S = R^T F, the energy density is
+
+    mu |S - I|^2 + lam / 2 tr(S - I)^2,
+
+which is linear elasticity's where nothing turns. Forces are its exact gradient,
+
+    P = R (2 mu (S - I) + lam tr(S - I) I),
+
+since the derivative of R does no work; so they are linear in mu and lam for a known u. One
+point a tet at order 1, four at order 2, curved or not (docs/large_rotations.md says why).
+Sources: Chao, Pinkall, Sanan, Schroeder 2010 (the energy); Smith, de Goes, Kim 2019,
+Analytic Eigensystems for Isotropic Distortion Energies (the derivative of R).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from plantsim.arrays import Array
+from plantsim.elastic.pattern import Pattern
+from plantsim.elastic.polar import rotations
+from plantsim.elastic.stiffness import point_gradients
+from plantsim.mesh.tetmesh import TetMesh
+
+CHUNK = 16_384  # points at a time, in the tangent
+LEAST = 1e-3  # smallest sum of two stretches, where a tet is inverted
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Where strain is measured: gradients of the shape functions, and weights."""
+
+    mesh: TetMesh
+    pattern: Pattern
+    # (m, c, 3q) [1/m]: of shape function a at point p along axis j in [a, 3p + j]
+    gradient: Array
+    weight: Array  # (m, q) [m^3]
+
+    @cached_property
+    def sums(self) -> csr_array:
+        """Sums over the tets at each vertex, (n, m c)."""
+        tets = self.mesh.tets
+        order = np.argsort(tets.ravel(), kind="stable").astype(np.int32)
+        count = np.bincount(tets.ravel(), minlength=len(self.mesh.points))
+        start = np.append(0, np.cumsum(count)).astype(np.int32)
+        shape = (len(count), tets.size)
+        return csr_array((np.ones(tets.size), order, start), shape=shape)
+
+    @cached_property
+    def products(self) -> Array:
+        """Integrals of grad phi_a . grad phi_b for pairs a <= b, (m, p) [m]."""
+        one, other = np.triu_indices(self.gradient.shape[1])
+        weighed = self.gradient * np.repeat(self.weight, 3, axis=1)[:, None]
+        return (weighed @ self.gradient.transpose(0, 2, 1))[:, one, other]
+
+    @classmethod
+    def of(cls, mesh: TetMesh, pattern: Pattern) -> "Points":
+        """Return the points of a mesh."""
+        return cls(mesh, pattern, *point_gradients(mesh))
+
+    def at(self, u: Array, mu: Array, lam: Array) -> "Turned":
+        """Return what displacements u (n, 3) [m] do with moduli (m,) [Pa]."""
+        m, q = self.weight.shape
+        H = u[self.mesh.tets].transpose(0, 2, 1) @ self.gradient  # (m, 3, 3q)
+        H = H.reshape(m, 3, q, 3).transpose(0, 2, 1, 3).reshape(-1, 3, 3)
+        return Turned(self, H + np.eye(3), mu, lam)
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Deformation at every point of a mesh; k = m q points, those of a tet in a row."""
+
+    points: Points
+    F: Array  # (k, 3, 3)
+    mu: Array  # (m,) [Pa]
+    lam: Array  # (m,) [Pa]
+
+    @cached_property
+    def rotation(self) -> Array:
+        """R, (k, 3, 3)."""
+        return rotations(self.F)
+
+    @cached_property
+    def stretch(self) -> Array:
+        """Biot strain S - I of each point, (k, 3, 3), in rest axes."""
+        E = self.rotation.transpose(0, 2, 1) @ self.F
+        E = (E + E.transpose(0, 2, 1)) / 2
+        E[:, [0, 1, 2], [0, 1, 2]] -= 1
+        return E
+
+    @cached_property
+    def trace(self) -> Array:
+        """Trace of the strain, (k,)."""
+        E = self.stretch
+        return E[:, 0, 0] + E[:, 1, 1] + E[:, 2, 2]
+
+    @cached_property
+    def energy(self) -> float:
+        """Strain energy [J]."""
+        w = self.points.weight
+        square = np.einsum("kij,kij->k", self.stretch, self.stretch).reshape(w.shape)
+        bulk = self.trace.reshape(w.shape) ** 2
+        return float(((self.mu[:, None] * square + self.lam[:, None] * bulk / 2) * w).sum())
+
+    @cached_property
+    def tet_forces(self) -> Array:
+        """Nodal forces of each tet, (m, c, 3) [N]."""
+        return self._integral(self.rotation @ self._biot)
+
+    @cached_property
+    def forces(self) -> Array:
+        """Nodal forces, (n, 3) [N]."""
+        return self.points.sums @ self.tet_forces.reshape(-1, 3)
+
+    def unit_forces(self) -> tuple[Array, Array]:
+        """Return nodal forces (m, c, 3) of each tet for mu = 1, for lam = 1."""
+        R = self.rotation
+        return (
+            self._integral(2 * R @ self.stretch),
+            self._integral(self.trace[:, None, None] * R),
+        )
+
+    @property
+    def gradient(self) -> Array:
+        """Mean displacement gradient of each tet, (m, 3, 3)."""
+        return self._mean(self.F) - np.eye(3)
+
+    @property
+    def strain(self) -> Array:
+        """Mean Biot strain of each tet, (m, 3, 3), in rest axes."""
+        return self._mean(self.stretch)
+
+    @property
+    def stress(self) -> Array:
+        """Mean stress of each tet, (m, 3, 3) [Pa], in the axes of the room."""
+        R = self.rotation
+        return self._mean(R @ self._biot @ R.transpose(0, 2, 1))
+
+    @property
+    def _biot(self) -> Array:
+        """2 mu (S - I) + lam tr(S - I) I, (k, 3, 3) [Pa]."""
+        shear, bulk = self._each(self.mu), self._each(self.lam) * self.trace
+        T = 2 * shear[:, None, None] * self.stretch
+        T[:, [0, 1, 2], [0, 1, 2]] += bulk[:, None]
+        return T
+
+    def _mean(self, values: Array) -> Array:
+        w = self.points.weight
+        sums = (values.reshape(*w.shape, 3, 3) * w[:, :, None, None]).sum(axis=1)
+        return sums / w.sum(axis=1)[:, None, None]
+
+    def tangent(self, *, positive: bool = False) -> csr_array:
+        """Return d forces / d u, (3n, 3n) [N/m], symmetric.
+
+        `positive`: without the negative eigenvalues of the points' own Hessians, so that it
+        is positive definite wherever the mesh is held.
+        """
+        points, pattern = self.points, self.points.pattern
+        m, q = points.weight.shape
+        pairs = np.empty((pattern.where.size, 9))
+        step = max(CHUNK // q, 1)
+        for first in range(0, m, step):
+            tets = slice(first, min(first + step, m))
+            some = self._pairs(tets, positive)
+            turned = np.flatnonzero(pattern.swapped[tets])
+            some[turned] = some[turned].swapaxes(1, 2)
+            pairs[pattern.where[tets].ravel()] = some.reshape(-1, 9)
+        both = np.empty((len(pattern.start) - 1, 2, 3, 3))
+        for blocks, each, sums in pattern.parts():
+            K = (sums @ pairs[each]).reshape(-1, 3, 3)
+            both[blocks, 0] = K
+            both[blocks, 1] = K.swapaxes(1, 2)
+        return pattern.matrix(both)
+
+    def _pairs(self, tets: slice, positive: bool) -> Array:
+        """Return the tangent of some tets for pairs a <= b of their vertices, (m p, 3, 3).
+
+        With g = R grad phi and the turning a = axial(R^T dF), whose stiffness is M,
+
+            lam g_a g_b^T + mu g_b g_a^T + mu grad phi_a . grad phi_b I + Y_a M Y_b^T,
+
+        Y_a = R [grad phi_a]x, summed over the tet's points.
+        """
+        points = self.points
+        q = points.weight.shape[1]
+        at = slice(tets.start * q, tets.stop * q)
+        D, w = points.gradient[tets], points.weight[tets]
+        m, c = D.shape[:2]
+        mu, lam = self.mu[tets], self.lam[tets]
+        M = self._turning(at, self._each(mu), self._each(lam))
+        if positive:
+            M = _positive(M)
+        R = self.rotation[at]
+        grad = D.reshape(m, c, q, 3).transpose(0, 2, 3, 1).reshape(m * q, 3, c)
+        g = (R @ grad).transpose(0, 2, 1).reshape(m, q, 3 * c)
+        outer = (g * w[:, :, None]).transpose(0, 2, 1) @ g
+        cross = np.zeros((m * q, c, 3, 3))  # [grad phi_a]x, rows k, columns n
+        for n in range(3):
+            r, s = (n + 1) % 3, (n + 2) % 3
+            cross[:, :, r, n] = grad[:, s]
+            cross[:, :, s, n] = -grad[:, r]
+        # R^T on the left of every vertex's block, as one product: (c n, k) @ (k, i)
+        Y = cross.transpose(0, 1, 3, 2).reshape(-1, 3 * c, 3) @ R.transpose(0, 2, 1)
+        Y = Y.reshape(m, q, c, 3, 3).transpose(0, 2, 4, 1, 3).reshape(m, 3 * c, 3 * q)
+        wM = (M * w.reshape(-1, 1, 1)).reshape(m, q, 3, 3)
+        YM = (Y.reshape(m, 3 * c, q, 1, 3) @ wM[:, None]).reshape(m, 3 * c, 3 * q)
+        turning = YM @ Y.transpose(0, 2, 1)
+        one, other = np.triu_indices(c)
+        O = outer.reshape(m, c, 3, c, 3)[:, one, :, other].swapaxes(0, 1)  # noqa: E741
+        K = turning.reshape(m, c, 3, c, 3)[:, one, :, other].swapaxes(0, 1)
+        K += lam[:, None, None, None] * O
+        K += mu[:, None, None, None] * O.swapaxes(2, 3)
+        shear = mu[:, None] * points.products[tets]
+        for i in range(3):
+            K[:, :, i, i] += shear
+        return np.ascontiguousarray(K).reshape(-1, 3, 3)
+
+    def _turning(self, at: slice, mu: Array, lam: Array) -> Array:
+        """Return stiffness against turning, (k, 3, 3): mu I + beta (tr S I - S)^-1."""
+        E = self.stretch[at]
+        tr = self.trace[at]
+        A = -E  # tr S I - S = (2 + tr E) I - E
+        A[:, [0, 1, 2], [0, 1, 2]] += (2 + tr)[:, None]
+        beta = lam * tr - 2 * mu
+        # sums of two stretches; none is near 0 unless a tet is inverted
+        if np.abs(E).max(initial=0.0) > 0.4:
+            bad = np.abs(E).max(axis=(1, 2)) > 0.4
+            size, V = np.linalg.eigh(A[bad])
+            size = np.maximum(size, LEAST)
+            A[bad] = (V * size[:, None, :]) @ V.transpose(0, 2, 1)
+        M = beta[:, None, None] * np.linalg.inv(A)
+        M = (M + M.transpose(0, 2, 1)) / 2
+        M[:, [0, 1, 2], [0, 1, 2]] += mu[:, None]
+        return M
+
+    def _each(self, per_tet: Array) -> Array:
+        return np.repeat(per_tet, self.points.weight.shape[1])
+
+    def _integral(self, P: Array) -> Array:
+        """Return the nodal forces (m, c, 3) of stresses P (k, 3, 3)."""
+        points = self.points
+        m, q = points.weight.shape
+        P = P * points.weight.reshape(-1, 1, 1)
+        P = P.reshape(m, q, 3, 3).transpose(0, 1, 3, 2).reshape(m, 3 * q, 3)
+        return points.gradient @ P
+
+
+def _positive(M: Array) -> Array:
+    """Return symmetric matrices (k, 3, 3) with negative eigenvalues set to zero."""
+    a = M[:, 0, 0]
+    b = a * M[:, 1, 1] - M[:, 0, 1] ** 2
+    bad = (a < 0) | (b < 0) | (np.linalg.det(M) < 0)
+    out = M.copy()
+    size, V = np.linalg.eigh(M[bad])
+    out[bad] = (V * np.maximum(size, 0)[:, None, :]) @ V.transpose(0, 2, 1)
+    return out

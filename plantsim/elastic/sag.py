@@ -1,0 +1,74 @@
+"""Sag: the plant under its own weight, and the shape that it has without it."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from plantsim.elastic.equilibrium import Equilibrium
+from plantsim.elastic.loads import Load, Move
+from plantsim.errors import ModelError, SolverError
+from plantsim.mesh.tetmesh import TetMesh
+
+if TYPE_CHECKING:
+    from plantsim.elastic.model import ElasticModel
+
+TURNS = 60  # of the fixed point
+DEPTH = 3  # differences that Anderson's mixing keeps
+
+
+def unloaded(
+    model: "ElasticModel", loads: tuple[Load, ...], tolerance: float
+) -> tuple["ElasticModel", Equilibrium]:
+    """Return the model whose equilibrium under `loads` has the shape of this model's mesh.
+
+    By the fixed point X <- X - (x(X) - shape), speeded by Anderson's mixing, until no
+    vertex is farther than `tolerance` [m] from the shape. Second, that equilibrium.
+    Source of the fixed point: Sellier 2011, An iterative method for the inverse
+    elasto-static problem; of the mixing: Walker and Ni 2011.
+    """
+    if any(isinstance(load, Move) for load in loads):
+        raise ModelError("unloaded: moved vertices are no load. Give forces and gravity.")
+    shape, mesh = model.mesh.points, model.mesh
+    rest = shape.copy()
+    state, trail = None, []
+    for _ in range(TURNS):
+        new = _at(model, rest)
+        start = state
+        state = new.solve(*loads, start=start)
+        if getattr(state.stats, "fraction", 1.0) < 1:
+            break
+        lack = shape - (rest + state.displacement)
+        off = float(np.linalg.norm(lack, axis=1).max())
+        if off <= tolerance:
+            return new, state
+        trail = [*trail, (rest, lack)][-DEPTH - 1 :]
+        rest = _mixed(trail)
+        rest[model.fixed_ids] = shape[model.fixed_ids]
+    else:
+        raise SolverError(
+            f"unloaded: {1e3 * off:.2g} mm from the shape after {TURNS} turns, wanted "
+            f"{1e3 * tolerance:.2g}. Check moduli and density: it may be that no plant so "
+            "soft can stand so."
+        )
+    raise SolverError(
+        "unloaded: the plant does not carry the load. Check moduli and density; the "
+        f"mesh has {len(mesh.points)} vertices and weighs {model.mass:.3g} kg."
+    )
+
+
+def _mixed(trail: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return the next rest shape: the fixed point's step on the best mix of the last."""
+    X, F = (np.array([part[i].ravel() for part in trail]) for i in (0, 1))
+    if len(trail) == 1:
+        return (X[0] + F[0]).reshape(-1, 3)
+    dX, dF = np.diff(X, axis=0), np.diff(F, axis=0)
+    gamma = np.linalg.lstsq(dF.T, F[-1], rcond=None)[0]
+    return (X[-1] + F[-1] - gamma @ (dX + dF)).reshape(-1, 3)
+
+
+def _at(model: "ElasticModel", rest: np.ndarray) -> "ElasticModel":
+    mesh = model.mesh
+    new = TetMesh(
+        rest, mesh.tets, mesh.region, dict(mesh.sets), mesh.region_names, mesh.report
+    )
+    return type(model)(new, model.material, model.fixed_ids, model.solver, model.kinematics)
