@@ -18,6 +18,7 @@ HOMES = {
     "cvxpy": {"estimation/force_balance.py"},
     "h5py": {"estimation/files.py"},
     "pyvista": {"view/figures.py"},
+    "vtkmodules": {"view/visibility.py"},
     "typer": {"cli.py"},
 }
 FILES = sorted((ROOT / "plantsim").rglob("*.py"))

@@ -97,7 +97,7 @@ class Estimate:
     def sample(self, n: int, rng: Random) -> tuple[Material, ...]:
         """Return materials drawn from the posterior."""
         return tuple(
-            Material.lame(*np.split(theta, 2), self.material.density)
+            _material(theta, self.material.density)
             for theta in self.posterior.sample(n, rng)
         )
 
@@ -162,7 +162,7 @@ def estimate(
 
         x, stats = force_balance.solve(model, seen, chart, rows, solver)
         theta = chart.theta * np.maximum(1 + chart.B @ x, force_balance.LEAST)
-        found = Material.lame(*np.split(theta, 2), model.material.density)
+        found = _material(theta, model.material.density)
         named = 1 + chart.mix @ x
         objective = None
     else:
@@ -178,3 +178,8 @@ def estimate(
     multipliers = dict(zip(chart.names, map(float, named), strict=True))
     final = objective.model if objective is not None else model.with_material(found)
     return Estimate(final, model.material, multipliers, stats, seen, objective)
+
+
+def _material(theta: Array, density: Array) -> Material:
+    mu, lam = np.split(theta, 2)
+    return Material.lame(mu, lam, density)

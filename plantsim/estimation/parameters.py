@@ -66,7 +66,7 @@ class Chart:
         return self._factor.solve(np.asfortranarray(xi, dtype=float))
 
     def log(self, xi: Array) -> Array:
-        """Return log(theta / theta of the prior), (2m,) or (2m, k)."""
+        """Return the logarithm of theta over the prior's, (2m,) or (2m, k)."""
         return self.B @ self.unwhiten(xi)
 
     def adjoint(self, y: Array) -> Array:

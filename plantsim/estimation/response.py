@@ -40,7 +40,7 @@ class Response:
         n = len(model.mesh.points)
         self._place = np.full(n, -1)
         self._place[self.free] = np.arange(len(self.free))
-        self._at = [self._rows(case.moved) for case in cases]
+        self._at = [self.rows(case.moved) for case in cases]
         self._columns = self._compliance()
         self._inverse = [
             self._positive(Y[at]) if len(at) else np.zeros((0, 0))
@@ -70,7 +70,8 @@ class Response:
                     "close together: smooth the parameters, or move fewer."
                 )
 
-    def _rows(self, ids: Array) -> Array:
+    def rows(self, ids: Array) -> Array:
+        """Return the places of vertices' components among the free ones."""
         return (3 * self._place[ids][:, None] + np.arange(3)).ravel()
 
     def solve(self, loads: Array, check: bool = False) -> Array:
@@ -81,7 +82,7 @@ class Response:
         """Return Y of every case."""
         ids = [case.moved for case in self.cases]
         all_ids = np.unique(np.concatenate(ids))
-        at = self._rows(all_ids)
+        at = self.rows(all_ids)
         Y = np.empty((3 * len(self.free), len(at)), order="F")
         for start in range(0, len(at), MANY):
             part = at[start : start + MANY]
@@ -118,7 +119,7 @@ class Response:
 
     @cached_property
     def W(self) -> Any:
-        """Forces by log-moduli (cases free, 2m), W(u) diag(theta) of one case after another."""
+        """Change of forces with the log-moduli, case after case, (cases free, 2m)."""
         mesh = self.model.mesh
         m, c = mesh.tets.shape
         mu, lam, _ = self.model.material.per_tet(m)
