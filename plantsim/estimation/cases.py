@@ -16,7 +16,9 @@ from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
 from plantsim.estimation.observation import Observation, wrench_modes
 
-EXACT = 1e-3  # noise of readings said to be exact, over the root mean square of the readings
+EXACT = (
+    1e-3  # noise of readings said to be exact, over the root mean square of the readings
+)
 SAME = 1e-9  # relative difference up to which touches are proportional
 
 

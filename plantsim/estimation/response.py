@@ -33,8 +33,11 @@ MANY = 300  # columns that are solved for at a time
 class Response:
     """Load cases at one material. All arrays are over free components, cases last."""
 
-    def __init__(self, model: ElasticModel, cases: Sequence[Case]) -> None:
-        """Factor K and solve for every case."""
+    def __init__(
+        self, model: ElasticModel, cases: Sequence[Case], like: "Response | None" = None
+    ) -> None:
+        """Factor K and solve for every case; `like` differs in the material alone."""
+        self._like = None if like is None else like._pattern
         self.model, self.cases = model, cases
         self.free, self._factor = model.base_factor()
         n = len(model.mesh.points)
@@ -124,7 +127,7 @@ class Response:
         m, c = mesh.tets.shape
         mu, lam, _ = self.model.material.per_tet(m)
         T, nf = len(self.cases), 3 * len(self.free)
-        order, indices, indptr = _pattern(mesh.tets, self._place, nf)
+        order, indices, indptr = self._pattern
         data = np.empty((T, len(order)))
         both = np.empty((2, m, 3 * c))
         for t in range(T):
@@ -138,6 +141,12 @@ class Response:
             (data.ravel(), np.tile(indices, T), np.append(starts, T * step)),
             shape=(T * nf, 2 * m),
         )
+
+    @cached_property
+    def _pattern(self) -> tuple[Array, Array, Array]:
+        if self._like is not None:
+            return self._like
+        return _pattern(self.model.mesh.tets, self._place, 3 * len(self.free))
 
     @cached_property
     def _transposed(self) -> Any:

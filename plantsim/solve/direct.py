@@ -2,8 +2,11 @@
 
 import importlib
 import importlib.util
+import os
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,6 +23,8 @@ PARDISO_FROM = 200_000
 # Right-hand sides at a time. Six take half of the time of six alone. With twelve BLAS
 # starts threads, which gain nothing; on a busy machine thirty took six times as long
 STRIP = 6
+# Strips from which on they are shared out to threads: SuperLU gives up Python's lock
+MANY = 6
 
 
 @dataclass(frozen=True)
@@ -79,9 +84,17 @@ class DirectFactor:
             u = self.lu.solve(f)
         else:
             u = np.empty(f.shape, order="F")
-            for first in range(0, f.shape[1], STRIP):
+
+            def strip(first: int) -> None:
                 part = slice(first, first + STRIP)
                 u[:, part] = self.lu.solve(np.asfortranarray(f[:, part]))
+
+            starts = range(0, f.shape[1], STRIP)
+            if len(starts) < MANY or isinstance(self.lu, _Pardiso):
+                for first in starts:
+                    strip(first)
+            else:
+                list(_pool().map(strip, starts))
         if not check:
             return u, 0, np.full(f.shape[1:], np.nan)
         error = backward_error(self.K, self.size, u, f)
@@ -92,6 +105,11 @@ class DirectFactor:
                 "very different size."
             )
         return u, 0, error
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(4, os.cpu_count() or 1), "plantsim-solve")
 
 
 class _Pardiso:
