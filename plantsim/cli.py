@@ -191,6 +191,135 @@ def push(
 
 
 @app.command()
+def touch(
+    source: Annotated[Path, typer.Argument(help="A mesh: .msh, .vtu or .npz.")],
+    out: Annotated[Path, typer.Option(help="Write the touches here: .h5 or .npz.")],
+    moved: Annotated[
+        str | None,
+        typer.Option(help="Vertex ids with commas, or a set; else drawn at random."),
+    ] = None,
+    by: Annotated[str, typer.Option(help="Displacement in m: x,y,z.")] = "0,0,-0.01",
+    shots: Annotated[int, typer.Option(min=1, help="Touches drawn at random.")] = 5,
+    fixed: Annotated[
+        str, typer.Option(help="Vertex ids with commas, or a set's name.")
+    ] = "base",
+    young: Annotated[float, typer.Option(help="Young's modulus [Pa].")] = 6e9,
+    scatter: Annotated[
+        float, typer.Option(min=0, help="Of the limbs' log Young's moduli.")
+    ] = 0.0,
+    poisson: Annotated[float, typer.Option(help="Poisson's ratio.")] = 0.3,
+    camera: Annotated[
+        str | None, typer.Option(help="Only what is seen from here [m]: x,y,z.")
+    ] = None,
+    displacement_noise: Annotated[float, typer.Option(help="[m]")] = 0.0,
+    force_noise: Annotated[float, typer.Option(help="[N]")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of touches, noise and scatter.")] = 0,
+) -> None:
+    """Simulate what a robot sees and feels when it touches a plant.
+
+    Example: plantsim touch plant.msh --shots 5 --displacement-noise 0.001 --out touches.h5
+    """
+    writable(out, ".h5", ".hdf5", ".npz")
+    found = ps.read_mesh(source)
+    rng = np.random.default_rng(seed)
+    limbs = young * np.exp(scatter * rng.normal(size=len(found.region_names)))
+    material = ps.Material(limbs[found.region], poisson)
+    model = ps.ElasticModel(found, material, fixed=_ids(fixed, "fixed", found))
+    push = _numbers(by, "by", 3)
+    if moved is not None:
+        loads = [ps.move(_ids(moved, "moved", found), push)]
+    else:
+        depth = float(np.linalg.norm(push))
+        drawn = ps.sample_touches(model, shots, direction=push, depth=depth, rng=rng)
+        loads = [one.last for one in drawn]
+    view = None
+    if camera is not None:
+        view = ps.visible_vertices(found, _numbers(camera, "camera", 3))
+    seen = [
+        ps.observe(
+            model,
+            load,
+            seen=view,
+            displacement_noise=displacement_noise,
+            force_noise=force_noise,
+            rng=rng,
+        )
+        for load in loads
+    ]
+    for one in seen:
+        typer.echo(repr(one))
+    typer.echo(f"wrote {ps.write_observations(seen, out)}")
+
+
+@app.command()
+def estimate(
+    source: Annotated[Path, typer.Argument(help="A mesh: .msh, .vtu or .npz.")],
+    touches: Annotated[Path, typer.Argument(help="Observations: .h5 or .npz.")],
+    parameters: Annotated[str, typer.Option(help="limb or element.")] = "limb",
+    method: Annotated[str, typer.Option(help="map or force-balance.")] = "map",
+    young: Annotated[float, typer.Option(help="The prior's Young's modulus [Pa].")] = 6e9,
+    poisson: Annotated[float, typer.Option(help="The prior's Poisson's ratio.")] = 0.3,
+    fixed: Annotated[
+        str, typer.Option(help="Vertex ids with commas, or a set's name.")
+    ] = "base",
+    level: Annotated[
+        float, typer.Option(help="Share of cases that the intervals hold.")
+    ] = 0.9,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the mesh with its moduli here: .vtu")
+    ] = None,
+) -> None:
+    """Estimate a plant's stiffness from touches, and say how sure it is.
+
+    Example: plantsim estimate plant.msh touches.h5 --young 5e9 --out found.vtu
+    """
+    if out is not None:
+        writable(out, ".vtu")
+    kinds = {"limb": ps.per_limb(), "element": ps.per_element()}
+    if parameters not in kinds:
+        raise ModelError(f"--parameters {parameters!r}: give limb or element.")
+    found = ps.read_mesh(source)
+    prior = ps.ElasticModel(
+        found, ps.Material(young, poisson), fixed=_ids(fixed, "fixed", found)
+    )
+    with console.status("estimating ...") as status:
+        result = ps.estimate(
+            prior,
+            ps.read_observations(touches),
+            parameters=kinds[parameters],
+            method=method,  # type: ignore[arg-type]
+            progress=lambda step: status.update(
+                f"iteration {step.iteration}, cost {step.cost:.4g} ..."
+            ),
+        )
+        sure = method == "map"
+        bounds = result.interval(level) if sure else {}
+        seen = result.identified if sure else {}
+    typer.echo(repr(result))
+    table = Table(title="Young's modulus by limb, GPa", title_justify="left")
+    for column in ("limb", "estimate", f"{level:.0%} interval", "seen"):
+        table.add_column(column, justify="left" if column == "limb" else "right")
+    for name, value in result.young().items():
+        low, high = bounds.get(name, (np.nan, np.nan))
+        table.add_row(
+            name,
+            f"{value / 1e9:.3g}",
+            f"{low / 1e9:.3g} to {high / 1e9:.3g}" if sure else "",
+            f"{seen[name]:.0%}" if sure else "",
+        )
+    console.print(table)
+    if out is not None:
+        count = len(found.tets)
+        data = {
+            "young": np.broadcast_to(result.material.young, (count,)),
+            "poisson": np.broadcast_to(result.material.poisson, (count,)),
+        }
+        if sure:
+            data["young_std"] = result.tet_std
+        typer.echo(f"wrote {ps.write_mesh(found, out, cell_data=data)}")
+
+
+@app.command()
 def doctor(
     packages: Annotated[
         bool, typer.Option("--packages", help="Print missing Debian packages only.")
