@@ -42,12 +42,15 @@ if TYPE_CHECKING:
     from plantsim.estimation.files import read_observations as read_observations
     from plantsim.estimation.files import write_observations as write_observations
     from plantsim.estimation.force_matrix import force_matrix as force_matrix
+    from plantsim.estimation.next_touch import next_touch as next_touch
     from plantsim.estimation.observation import Observation as Observation
     from plantsim.estimation.observation import observe as observe
     from plantsim.estimation.parameters import features as features
     from plantsim.estimation.parameters import per_element as per_element
     from plantsim.estimation.parameters import per_limb as per_limb
     from plantsim.estimation.parameters import per_region as per_region
+    from plantsim.estimation.prediction import predict as predict
+    from plantsim.estimation.prediction import score as score
     from plantsim.mesh.files import read_mesh as read_mesh
     from plantsim.mesh.files import write_mesh as write_mesh
     from plantsim.mesh.surfaces import write_surface as write_surface
@@ -85,6 +88,8 @@ if TYPE_CHECKING:
     from plantsim.view.plots import figure_table_one as figure_table_one
     from plantsim.view.quality import figure_quality as figure_quality
     from plantsim.view.skeletons import figure_skeleton as figure_skeleton
+    from plantsim.view.visibility import Camera as Camera
+    from plantsim.view.visibility import visible_vertices as visible_vertices
 
 __version__ = "0.1.0"
 
@@ -114,6 +119,8 @@ _HOME = {
     "plantsim.estimation.estimate": ("Estimate", "estimate"),
     "plantsim.estimation.force_matrix": ("force_matrix",),
     "plantsim.estimation.files": ("read_observations", "write_observations"),
+    "plantsim.estimation.next_touch": ("next_touch",),
+    "plantsim.estimation.prediction": ("predict", "score"),
     "plantsim.estimation.observation": ("Observation", "observe"),
     "plantsim.estimation.parameters": (
         "features",
@@ -146,6 +153,7 @@ _HOME = {
     "plantsim.view.plots": ("figure_convergence", "figure_ratios", "figure_table_one"),
     "plantsim.view.quality": ("figure_quality",),
     "plantsim.view.skeletons": ("figure_skeleton",),
+    "plantsim.view.visibility": ("Camera", "visible_vertices"),
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names}
 

@@ -100,7 +100,9 @@ def run(seed: int, out: Path, tell: Callable[[Stage], None]) -> list[Path]:
     ]
     done("touch", f"{TOUCHES} simulated touches, {PUSHED} vertices each")
     prior = truth.with_material(Material(YOUNG, 0.35, 900.0))
-    found = estimate(prior, touches, parameters=per_limb(), rows="balance")
+    found = estimate(
+        prior, touches, parameters=per_limb(), method="force-balance", rows="balance"
+    )
     before = float(np.median(np.abs(YOUNG / modulus - 1)))
     fitted = np.array([found.young()[limb.name] for limb in limbs])
     after = float(np.median(np.abs(fitted / modulus - 1)))

@@ -52,3 +52,25 @@ def test_analytic_tapered_cantilever_has_its_closed_form():
     A, inertia = np.pi * a**2, np.pi * a**4 / 4
     known = 5 * A * L**4 / (8 * E * inertia) + 5 * L**2 / (2 * (6 / 7) * E / 2)
     assert cantilever_tip(L, a, a, E, 0.0, weight=5.0) == pytest.approx(known, rel=1e-9)
+
+
+def test_table_one_in_short(tmp_path, capsys):
+    bench = load("table1")
+    rows = bench.main(
+        bench.own_plants(), ["limb"], ["1mm"], ["map", "contact"], [1, 3], 1,
+        tmp_path / "table1.md", queries=4,
+    )  # fmt: skip
+    assert "the paper's print" in capsys.readouterr().out
+    assert "| limb | 1mm | map | 3 |" in (tmp_path / "table1.md").read_text("utf-8")
+    last = next(r for r in rows if (r.method, r.shots) == ("map", 3))
+    assert last.prior_visual > 5 * last.visual
+    assert last.prior_tactile > 20 * last.tactile
+    paper = next(r for r in rows if (r.method, r.shots) == ("contact", 3))
+    assert paper.visual > last.visual
+    assert paper.tactile > last.tactile
+
+
+def test_next_touch_in_short(capsys):
+    errors = load("next_touch").main(1, 2, 3)
+    assert errors["next"][0, 0] == errors["random"][0, 0]
+    assert "touches that `next_touch` needs" in capsys.readouterr().out

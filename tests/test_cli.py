@@ -210,3 +210,22 @@ def test_pictures(tmp_path, fork):
     )
     with pytest.raises(ps.ModelError, match="one value a tet"):
         ps.figure_material(fork, field[1:], tmp_path / "b.png")
+
+
+def test_touch_and_estimate_find_the_modulus_again(beam, tmp_path):
+    touches = tmp_path / "touches.npz"
+    done = run(
+        "touch", beam, "--moved", "tip", "--by=0,0.001,-0.001", "--young", "8e9",
+        "--displacement-noise", "1e-5", "--force-noise", "5", "--out", touches,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(ps.read_observations(touches)) == 1
+    out = tmp_path / "found.vtu"
+    done = run("estimate", beam, touches, "--young", "5e9", "--out", out)
+    assert done.returncode == 0, done.stderr
+    row = next(line for line in done.stdout.splitlines() if "100%" in line)
+    assert float(row.split("│")[2]) == pytest.approx(8, rel=0.02)
+    assert out.stat().st_size > 0
+    refused("estimate", beam, touches, "--parameters", "twig", says="limb or element")
+    refused("estimate", beam, beam, says=".msh suffix")
+    refused("touch", beam, "--moved", "tip", "--out", "a.csv", says=".npz")

@@ -25,6 +25,7 @@ HOMES = {
     "manifold3d": {"solid/booleans.py"},
     "mmgpy": {"solid/remesh.py"},
     "pytetwild": {"solid/wild.py"},
+    "vtkmodules": {"view/visibility.py"},
 }
 FILES = sorted((ROOT / "plantsim").rglob("*.py"))
 

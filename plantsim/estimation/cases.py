@@ -16,7 +16,9 @@ from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
 from plantsim.estimation.observation import Observation, wrench_modes
 
-EXACT = 1e-3  # least noise, over the root mean square of the readings
+EXACT = (
+    1e-3  # noise of readings said to be exact, over the root mean square of the readings
+)
 SAME = 1e-9  # relative difference up to which touches are proportional
 
 
@@ -108,13 +110,13 @@ def check_free(model: ElasticModel, moved: Array) -> None:
 
 
 def _noise(seen: Observation, name: str) -> Array:
-    """Return standard deviations, at least a thousandth of what is typical of readings."""
+    """Return standard deviations; of exact readings, a thousandth of what is typical."""
     value = np.asarray(getattr(seen, name))
     noise = seen.noise_of(name)
     parts = np.split(value, 2) if name == "wrench" and value.size == 6 else [value]
     typical = [np.sqrt(np.mean(part**2)) if part.size else 0.0 for part in parts]
     least = EXACT * np.repeat(typical, 3) if len(parts) == 2 else EXACT * typical[0]
-    noise = np.maximum(noise, least)
+    noise = np.where(noise > 0, noise, least)
     if not (noise > 0).all():
         raise EstimateError(
             f"an observation has {name} zero throughout and {name}_noise 0. Give the "

@@ -98,7 +98,8 @@ class Estimate:
     def sample(self, n: int, rng: Random) -> tuple[Material, ...]:
         """Return materials drawn from the posterior."""
         return tuple(
-            _lame(theta, self.material.density) for theta in self.posterior.sample(n, rng)
+            _material(theta, self.material.density)
+            for theta in self.posterior.sample(n, rng)
         )
 
     _repr_html_ = card  # what a notebook shows
@@ -164,7 +165,7 @@ def estimate(
 
         x, stats = force_balance.solve(model, seen, chart, rows, solver)
         theta = chart.theta * np.maximum(1 + chart.B @ x, force_balance.LEAST)
-        found = _lame(theta, model.material.density)
+        found = _material(theta, model.material.density)
         named = 1 + chart.mix @ x
         objective = None
     else:
@@ -182,6 +183,6 @@ def estimate(
     return Estimate(final, model.material, multipliers, stats, seen, objective)
 
 
-def _lame(theta: Array, density: Array | float) -> Material:
+def _material(theta: Array, density: Array) -> Material:
     mu, lam = np.split(theta, 2)
     return Material.lame(mu, lam, density)

@@ -32,7 +32,7 @@ HALVINGS = 12
 PAIRS = 100  # directions remembered for the preconditioner
 NEAR = 0.7  # change of a log-modulus up to which the Hessian is much the same
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
-GAIN = 0.3  # of the mean gain of CG's iterations: less, and it stops
+GAIN = 0.1  # of the mean gain of CG's iterations: less, and it stops
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,19 @@ class Objective:
     """The cost at one xi, its gradient and Gauss-Newton Hessian."""
 
     def __init__(
-        self, model: ElasticModel, chart: Chart, cases: Sequence[Case], xi: Array
+        self,
+        model: ElasticModel,
+        chart: Chart,
+        cases: Sequence[Case],
+        xi: Array,
+        like: Response | None = None,
     ) -> None:
-        """Solve for every case."""
+        """Solve for every case; `like` is one at another xi, whose pattern is shared."""
         self.chart, self.cases, self.xi = chart, cases, xi
         mu, lam = np.split(chart.moduli(xi), 2)
         material = Material.lame(mu, lam, model.material.density)
         self.model = model.with_material(material)
-        self.response = Response(self.model, cases)
+        self.response = Response(self.model, cases, like)
         free = (3 * self.response.free[:, None] + np.arange(3)).ravel()
         self.weight = np.stack([c.displacement_weight[free] for c in cases], axis=1)
         seen = np.stack([c.displacement[free] for c in cases], axis=1)
@@ -167,7 +172,12 @@ def solve(
         tell(size)
         direction, inner = _direction(here, g, memory, options)
         promise = -float(g @ direction)  # twice the decrease of the quadratic model
-        if temper == 1 and promise <= 2 * options.tolerance * max(here.cost, readings / 2):
+        enough = 2 * options.tolerance * max(here.cost, readings / 2)
+        if temper == 1 and promise <= enough:
+            # whether there is really so little to gain, CG says when it goes farther
+            direction, more = _direction(here, g, memory, options, GAIN / 10)
+            promise, inner = -float(g @ direction), inner + more
+        if temper == 1 and promise <= enough:
             break
         if len(path) > options.iterations:
             raise EstimateError(
@@ -220,7 +230,7 @@ def _start(model: ElasticModel, chart: Chart, cases: Sequence[Case]) -> Array:
 
 
 def _direction(
-    here: Objective, g: Array, memory: "Memory", options: Options
+    here: Objective, g: Array, memory: "Memory", options: Options, gain: float = GAIN
 ) -> tuple[Array, int]:
     """Return the Gauss-Newton step, and the CG iterations it took."""
     p = len(g)
@@ -229,14 +239,14 @@ def _direction(
 
     def product(v: Array) -> Array:
         v = np.ravel(v).copy()
-        y = v + here.hessian(v) / here.temper
-        new.append((v, y))
-        return y
+        Av = here.hessian(v)
+        new.append((v, Av))
+        return v + Av / here.temper
 
     new: list[tuple[Array, Array]] = []
     H: Any = LinearOperator((p, p), matvec=product, dtype=float)  # type: ignore[call-arg]
-    M: Any = LinearOperator((p, p), matvec=memory.apply, dtype=float)  # type: ignore[call-arg]
-    watch = _Watch(g)
+    M: Any = LinearOperator((p, p), matvec=memory.inverse(here.temper), dtype=float)  # type: ignore[call-arg]
+    watch = _Watch(g, gain)
     try:
         step, _ = cg(H, -g, M=M, rtol=1e-3, maxiter=options.inner, callback=watch)
     except _Enough:
@@ -253,33 +263,37 @@ class Memory:
     """
 
     def __init__(self, pairs: int) -> None:
-        """Keep up to so many pairs of a direction and the Hessian's product with it."""
+        """Keep up to so many pairs of a direction v and the misfit's Hessian A v."""
         self.pairs = pairs
-        self.s: list[Array] = []
-        self.y: list[Array] = []
+        self.kept: list[tuple[Array, Array]] = []
 
     def add(self, new: Sequence[tuple[Array, Array]]) -> None:
         """Add pairs, forgetting the oldest."""
-        for v, Hv in new:
-            size = np.sqrt(v @ Hv)
-            self.s.append(v / size)
-            self.y.append(Hv / size)
-        del self.s[: -self.pairs], self.y[: -self.pairs]
+        self.kept = [*self.kept, *new][-self.pairs :]
 
     def clear(self) -> None:
         """Forget all."""
-        self.s, self.y = [], []
+        self.kept = []
 
-    def apply(self, v: Array) -> Array:
-        """Return the approximate inverse of the Hessian times v: L-BFGS, two loops."""
-        out = np.ravel(v).copy()
-        share = []
-        for s, y in zip(reversed(self.s), reversed(self.y), strict=True):
-            share.append(float(np.einsum("i,i", s, out)))
-            out -= share[-1] * y
-        for s, y in zip(self.s, self.y, strict=True):
-            out += (share.pop() - float(np.einsum("i,i", y, out))) * s
-        return out
+    def inverse(self, temper: float) -> Callable[[Array], Array]:
+        """Return the approximate inverse of I + A / temper: L-BFGS, two loops."""
+        pairs = []
+        for v, Av in self.kept:
+            y = v + Av / temper
+            size = np.sqrt(np.einsum("i,i", v, y))
+            pairs.append((v / size, y / size))
+
+        def apply(v: Array) -> Array:
+            out = np.ravel(v).copy()
+            share = []
+            for s, y in reversed(pairs):
+                share.append(float(np.einsum("i,i", s, out)))
+                out -= share[-1] * y
+            for s, y in pairs:
+                out += (share.pop() - float(np.einsum("i,i", y, out))) * s
+            return out
+
+        return apply
 
 
 class _Enough(Exception):
@@ -294,8 +308,8 @@ class _Watch:
     the mean of those before it.
     """
 
-    def __init__(self, g: Array) -> None:
-        self.g = g
+    def __init__(self, g: Array, gain: float) -> None:
+        self.g, self.least = g, gain
         self.count, self.gained = 0, 0.0
         self.step = np.zeros_like(g)
 
@@ -304,7 +318,7 @@ class _Watch:
         gained = -0.5 * float(self.g @ x)
         now = gained - self.gained
         self.gained, self.step = gained, x.copy()
-        if self.count > 1 and self.count * now < GAIN * gained:
+        if self.count > 1 and self.count * now < self.least * gained:
             raise _Enough
 
 
@@ -314,9 +328,8 @@ def _search(
     """Return the objective after the largest share of a step that lowers the cost."""
     for _ in range(HALVINGS):
         try:
-            there = Objective(
-                here.model, here.chart, here.cases, here.xi + share * direction
-            )
+            xi = here.xi + share * direction
+            there = Objective(here.model, here.chart, here.cases, xi, here.response)
         except SolverError:
             there = None
         if there is not None:

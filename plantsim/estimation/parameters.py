@@ -66,7 +66,7 @@ class Chart:
         return self._factor.solve(np.asfortranarray(xi, dtype=float))
 
     def log(self, xi: Array) -> Array:
-        """Return the logarithm of theta / theta of the prior, (2m,) or (2m, k)."""
+        """Return the logarithm of theta over the prior's, (2m,) or (2m, k)."""
         return self.B @ self.unwhiten(xi)
 
     def adjoint(self, y: Array) -> Array:
@@ -96,7 +96,7 @@ class Parameters:
     smooth: float | None = 1.04
     level: float = 3.0
     moduli: Moduli = "lame"
-    tie: float = 1.02
+    tie: float = 1.005
     given: Array | None = None  # labels (m,), or features (m, k)
 
     def __post_init__(self) -> None:
@@ -223,7 +223,7 @@ def per_element(
     smooth: float = 1.04,
     level: float = 3.0,
     moduli: Moduli = "lame",
-    tie: float = 1.02,
+    tie: float = 1.005,
 ) -> Parameters:
     """Return parameters: the moduli of every tet, alike in neighbouring tets.
 

@@ -22,8 +22,9 @@ from scipy.special import ndtri
 from plantsim.arrays import Array, Random, generator
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
-from plantsim.estimation.output_error import FEW, Objective
+from plantsim.estimation.output_error import Objective
 
+FEW = 200  # columns of a chart up to which the posterior is exact
 RANK = 80  # eigenvectors of the misfit's Hessian, for many parameters
 MORE = 10  # random directions beyond those
 DRAWS = 200  # fields that stand for the prior where it is not summed exactly

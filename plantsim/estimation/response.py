@@ -32,14 +32,17 @@ MANY = 300  # columns that are solved for at a time
 class Response:
     """Load cases at one material. All arrays are over free components, cases last."""
 
-    def __init__(self, model: ElasticModel, cases: Sequence[Case]) -> None:
-        """Factor K and solve for every case."""
+    def __init__(
+        self, model: ElasticModel, cases: Sequence[Case], like: "Response | None" = None
+    ) -> None:
+        """Factor K and solve for every case; `like` differs in the material alone."""
+        self._like = None if like is None else like._pattern
         self.model, self.cases = model, cases
         self.free, self._factor = model.base_factor()
         n = len(model.mesh.points)
         self._place = np.full(n, -1)
         self._place[self.free] = np.arange(len(self.free))
-        self._at = [self._rows(case.moved) for case in cases]
+        self._at = [self.rows(case.moved) for case in cases]
         self._columns = self._compliance()
         self._inverse = [
             self._positive(Y[at]) if len(at) else np.zeros((0, 0))
@@ -69,7 +72,8 @@ class Response:
                     "close together: smooth the parameters, or move fewer."
                 )
 
-    def _rows(self, ids: Array) -> Array:
+    def rows(self, ids: Array) -> Array:
+        """Return the places of vertices' components among the free ones."""
         return (3 * self._place[ids][:, None] + np.arange(3)).ravel()
 
     def solve(self, loads: Array, check: bool = False) -> Array:
@@ -80,7 +84,7 @@ class Response:
         """Return Y of every case."""
         ids = [case.moved for case in self.cases]
         all_ids = np.unique(np.concatenate(ids))
-        at = self._rows(all_ids)
+        at = self.rows(all_ids)
         Y = np.empty((3 * len(self.free), len(at)), order="F")
         for start in range(0, len(at), MANY):
             part = at[start : start + MANY]
@@ -117,15 +121,12 @@ class Response:
 
     @cached_property
     def W(self) -> Any:
-        """Derivatives of forces by log-moduli, a case after another.
-
-        (cases free, 2m)
-        """
+        """Change of forces with the log-moduli, case after case, (cases free, 2m)."""
         mesh = self.model.mesh
         m, c = mesh.tets.shape
         mu, lam, _ = self.model.material.per_tet(m)
         T, nf = len(self.cases), 3 * len(self.free)
-        order, indices, indptr = _pattern(mesh.tets, self._place, nf)
+        order, indices, indptr = self._pattern
         data = np.empty((T, len(order)))
         both = np.empty((2, m, 3 * c))
         for t in range(T):
@@ -139,6 +140,12 @@ class Response:
             (data.ravel(), np.tile(indices, T), np.append(starts, T * step)),
             shape=(T * nf, 2 * m),
         )
+
+    @cached_property
+    def _pattern(self) -> tuple[Array, Array, Array]:
+        if self._like is not None:
+            return self._like
+        return _pattern(self.model.mesh.tets, self._place, 3 * len(self.free))
 
     @cached_property
     def _transposed(self) -> Any:

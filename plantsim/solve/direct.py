@@ -2,9 +2,11 @@
 
 import importlib
 import importlib.util
+import os
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,8 @@ PARDISO_FROM = 200_000
 # Right-hand sides at a time. Six take half of the time of six alone. With twelve BLAS
 # starts threads, which gain nothing; on a busy machine thirty took six times as long
 STRIP = 6
+# Strips from which on they are shared out to threads: SuperLU gives up Python's lock
+MANY = 6
 # How far compliance by half solves may be from that by a whole one: on slender plants the
 # two are some 1e-10 apart
 FORWARD = 1e-6
@@ -104,9 +108,17 @@ class DirectFactor:
             u = self.lu.solve(f)
         else:
             u = np.empty(f.shape, order="F")
-            for first in range(0, f.shape[1], STRIP):
+
+            def strip(first: int) -> None:
                 part = slice(first, first + STRIP)
                 u[:, part] = self.lu.solve(np.asfortranarray(f[:, part]))
+
+            starts = range(0, f.shape[1], STRIP)
+            if len(starts) < MANY or isinstance(self.lu, _Pardiso):
+                for first in starts:
+                    strip(first)
+            else:
+                list(_pool().map(strip, starts))
         if not check:
             return u, 0, np.full(f.shape[1:], np.nan)
         error = backward_error(self.K, self.size, u, f)
@@ -142,6 +154,11 @@ class DirectFactor:
     @cached_property
     def _half(self) -> Half | None:
         return None if isinstance(self.lu, _Pardiso) else Half.of(self.lu)
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(4, os.cpu_count() or 1), "plantsim-solve")
 
 
 class _Pardiso:
