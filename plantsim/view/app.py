@@ -28,7 +28,7 @@ from plantsim.mesh.tetmesh import TetMesh
 from plantsim.plant.hung import Masses
 from plantsim.view.panel import Panel
 from plantsim.view.skin import Skin
-from plantsim.view.style import CONTACT, MOVED, rgb
+from plantsim.view.style import CONTACT, MOVED, plain, rgb
 from plantsim.view.touching import Burden, Frame, Touching, hit
 
 LOOPBACK = "127.0.0.1"
@@ -80,12 +80,10 @@ class Viewer:
         self._told = True
         self._start = self._shift = np.zeros(3)
         self._gizmo: Any = None
-        self.server = viser.ViserServer(
-            host=host, port=port, label="plantsim", verbose=False
-        )
-        self.server.gui.configure_theme(
-            control_layout="collapsible", show_logo=False, show_share_button=False
-        )
+        with contextlib.redirect_stdout(io.StringIO()):  # its own banner
+            self.server = Local(host=host, port=port, label="plantsim", verbose=False)
+        self.server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+z")
         self.panel = Panel(self.server, self)
         self.show(mesh, material, name=name, masses=masses, fixed=fixed)
@@ -322,7 +320,7 @@ class Viewer:
                 tip = frame.centre + way * self._long(newtons, frame.travel)
                 self._arrow.points = np.array([[frame.centre, tip]])
                 self._label.position = tuple(tip)
-                self._label.text = f"{newtons:.3g} N"
+                self._label.text = f"{plain(newtons)} N"
         if held:
             self._trace.append((1e3 * frame.travel, newtons))
         self._told = False

@@ -18,6 +18,7 @@ from plantsim.estimation.parameters import per_limb
 from plantsim.mesh.files import FORMATS, read_mesh
 from plantsim.plant.parameters import species_names
 from plantsim.view.plants import potted
+from plantsim.view.style import plain
 from plantsim.view.touching import Burden, Frame, Touching, kinematics_of
 
 if TYPE_CHECKING:
@@ -105,8 +106,8 @@ class Panel:
             f = frame.force
             rate = f"; {1 / seconds:.0f} frames/s at most" if seconds else ""
             self._words.content = (
-                f"**{np.linalg.norm(f):.3g} N** ({f[0]:.3g}, {f[1]:.3g}, {f[2]:.3g}) for "
-                f"{1e3 * frame.travel:.3g} mm at {held} vertices{rate}"
+                f"**{plain(float(np.linalg.norm(f)))} N** ({', '.join(map(plain, f))}) for "
+                f"{plain(1e3 * frame.travel)} mm at {held} vertices{rate}"
             )
             if rotation is not None and self._viewer.touching.linear:
                 over = rotation > LINEAR_LIMIT
