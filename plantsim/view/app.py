@@ -183,7 +183,7 @@ class Viewer:
         )
         self._dots.visible = False
         camera, middle = self.server.initial_camera, (low + high) / 2
-        camera.position = tuple(middle + self.span * np.array([0.75, -0.9, 0.2]))
+        camera.position = tuple(middle + self.span * np.array([0.65, -0.8, 0.15]))
         camera.look_at = tuple(middle)
         self.panel.new_plant()
         self._draw(touching.let_go())

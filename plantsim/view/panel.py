@@ -1,8 +1,11 @@
 """The viewer's controls: what a page shows beside the plant, and what its knobs do."""
 
+import inspect
+import itertools
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -290,11 +293,17 @@ class Panel:
         viewer, seen = self._viewer, list(self._viewer.recorded)
         self._learn.disabled, self._bar.visible = True, True
         prior = viewer.prior
+        began = time.perf_counter()
+        steps = itertools.count(1)
+
+        def step(_: object) -> None:
+            seconds = time.perf_counter() - began
+            self._result.content = f"*step {next(steps)}, {seconds:.0f} s ...*"
 
         def run() -> None:
-            began = time.perf_counter()
+            self._result.content = f"*fitting {len(seen)} touches ...*"
             try:
-                found = fitted(prior, seen)
+                found = fitted(prior, seen, step)
             except Exception as why:
                 self.complain(f"{why}")
             else:
@@ -322,17 +331,20 @@ class Panel:
         self._recolour()
 
 
-def fitted(prior: Any, seen: list[Any]) -> Any:
+def fitted(prior: Any, seen: list[Any], step: Callable[[Any], None]) -> Any:
     """Return the estimate of the limbs' moduli from recorded touches.
 
-    Touches without noise bear the balance of every vertex; others go by the default method.
+    Touches without noise bear the balance of every vertex; others go by the default method,
+    which calls `step` at each step, if it walks in steps.
     """
     exact = all(s.displacement_noise == s.force_noise == 0 for s in seen)
     if exact:
         return estimate(
             prior, seen, parameters=per_limb(), method="force-balance", rows="balance"
         )
-    return estimate(prior, seen, parameters=per_limb())
+    walks = "progress" in inspect.signature(estimate).parameters
+    told: dict[str, Any] = {"progress": step} if walks else {}
+    return estimate(prior, seen, parameters=per_limb(), **told)
 
 
 def by_limb(touching: Touching, material: Material) -> dict[str, float]:
