@@ -1,7 +1,11 @@
-"""Pages that nobody put into the navigation yet go to its end, so that none is lost."""
+"""Pages that are in no navigation go to its end, public names to the end of the API."""
 
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import plantsim
 
 
 def on_config(config: Any) -> Any:
@@ -11,6 +15,28 @@ def on_config(config: Any) -> Any:
     rest = sorted(p.name for p in here.glob("*.md") if p.name not in named)
     config["nav"] += [{_title(here / name): name} for name in rest]
     return config
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Append to the API page what is public and not on it yet."""
+    if page.file.src_uri != "api.md":
+        return markdown
+    shown = set(_shown(markdown))
+    rest = [
+        f"::: {module}.{name}"
+        for name, module in sorted(plantsim._MODULE.items())
+        if not {module, f"{module}.{name}"} & shown
+    ]
+    return markdown + ("\n\n## More\n\n" + "\n".join(rest) if rest else "")
+
+
+def _shown(markdown: str) -> Iterator[str]:
+    """Yield the names that a page shows: objects, whole modules, members of others."""
+    for name, members in re.findall(
+        r"^::: (\S+)(?:\n.*members: \[(.*)\])?", markdown, re.M
+    ):
+        whole = [name] if name.split(".")[-1][0].isupper() or not members else []
+        yield from whole or [f"{name}.{m.strip()}" for m in members.split(",")]
 
 
 def _files(nav: Any) -> list[str]:
