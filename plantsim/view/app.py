@@ -73,7 +73,7 @@ class Viewer:
         self.frame_seconds = 0.0  # that the last frame took to compute and send
         self.frame: Frame | None = None
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
-        self._goal: tuple[Array, Array] | None = None
+        self._goal: tuple[Array, Any] | None = None
         self._lock = threading.Lock()
         self._trace: list[tuple[float, float]] = []
         self._spoke = self._typical = 0.0
@@ -197,11 +197,14 @@ class Viewer:
         """Take hold of vertices and put the gizmo there."""
         self.do(lambda: self._hold(np.asarray(ids)))
 
-    def drag(self, shift: Any, turn: Any = (0, 0, 0)) -> None:
-        """Move the hand: a shift [m] and a rotation vector [rad] from rest."""
+    def drag(self, shift: Any, turn: Any = None) -> None:
+        """Move the hand by a shift [m] from rest.
+
+        `turn`: a rotation vector [rad] that is held; None: it turns as the plant likes.
+        """
         with self._lock:
             waiting = self._goal is not None
-            self._goal = np.asarray(shift, dtype=float), np.asarray(turn, dtype=float)
+            self._goal = np.asarray(shift, dtype=float), turn
         if not waiting:
             self._jobs.put(self._follow)
 
@@ -264,11 +267,12 @@ class Viewer:
         self._drop_gizmo()
         self._trace.clear()
         self._start, self._shift, self._typical = frame.centre, np.zeros(3), 0.0
+        held = self.panel.turning  # whether the hand's direction is
         self._gizmo = self.server.scene.add_transform_controls(
             "/hand",
             scale=0.14 * self.span,
             line_width=4.0,
-            disable_rotations=not self.panel.turning,
+            disable_rotations=not held,
             depth_test=False,
             position=tuple(frame.centre),
         )
@@ -276,7 +280,8 @@ class Viewer:
         @self._gizmo.on_update
         async def _(event: Any) -> None:  # on the event loop, so in order
             at, wxyz = event.target.position, event.target.wxyz
-            self.drag(at - self._start, Rotation.from_quat(wxyz[[1, 2, 3, 0]]).as_rotvec())
+            turn = Rotation.from_quat(wxyz[[1, 2, 3, 0]]).as_rotvec()
+            self.drag(at - self._start, turn if held else None)
 
         self._draw(frame)
 

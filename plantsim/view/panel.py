@@ -57,7 +57,7 @@ class Panel:
 
     @property
     def turning(self) -> bool:
-        """Whether the gizmo can be turned."""
+        """Whether the hand holds the direction of its patch, and can turn it."""
         return bool(self._turn.value)
 
     @property
@@ -131,7 +131,7 @@ class Panel:
         viewer = self._viewer
         with gui.add_folder("Touch"):
             self._patch = gui.add_slider("vertices", 1, 24, 1, 6)
-            self._turn = gui.add_checkbox("turn too", False)
+            self._turn = gui.add_checkbox("hold its direction", False)
             go = gui.add_button("Let go")
             go.on_click(lambda _: viewer.let_go())
             nothing = np.array([0.0, 1e-6])
