@@ -52,3 +52,10 @@ def test_analytic_tapered_cantilever_has_its_closed_form():
     A, inertia = np.pi * a**2, np.pi * a**4 / 4
     known = 5 * A * L**4 / (8 * E * inertia) + 5 * L**2 / (2 * (6 / 7) * E / 2)
     assert cantilever_tip(L, a, a, E, 0.0, weight=5.0) == pytest.approx(known, rel=1e-9)
+
+
+def test_the_viewer_is_measured(capsys):
+    pytest.importorskip("viser")
+    load("viewer").main(quick=True)
+    row = capsys.readouterr().out.splitlines()[-1]
+    assert row.startswith("| fork, order 1 | 1,392 |")
