@@ -35,6 +35,7 @@ LOOPBACK = "127.0.0.1"
 PORT = 8080
 FASTEST = 1 / 60  # [s] between two frames: what screens show
 SLOW = 1 / 12  # [s] between words and colours that change in a drag; the shape goes at once
+REST = 0.25  # [s] without a job until what costs more than a frame is told
 DEFAULT = Material(6e9, 0.35, 900.0)
 
 
@@ -237,7 +238,7 @@ class Viewer:
     def _work(self) -> None:
         while True:
             try:
-                job = self._jobs.get(timeout=SLOW)
+                job = self._jobs.get(timeout=REST)
             except queue.Empty:
                 job = self._rest_a_moment
             if job is None:
