@@ -25,9 +25,10 @@ DRIVERS = ("*/dri/swrast_dri.so", "*/libgallium*.so")  # what Mesa draws with, b
 DRIVER_PACKAGE = "libgl1-mesa-dri"
 CORE = ("numpy", "scipy", "scikit-fem", "gmsh", "meshio", "pyamg", "cvxpy", "typer")
 EXTRAS = {
-    "view": ("pyvista", "matplotlib"),
-    "io": ("h5py",),
+    "view": ("pyvista", "matplotlib", "viser", "imageio"),
+    "io": ("h5py", "trimesh"),
     "fast": ("pypardiso", "manifold3d", "mmgpy", "pytetwild"),
+    "docs": ("mkdocs-material", "mkdocstrings"),
 }
 
 

@@ -74,3 +74,12 @@ def test_next_touch_in_short(capsys):
     errors = load("next_touch").main(1, 2, 3)
     assert errors["next"][0, 0] == errors["random"][0, 0]
     assert "touches that `next_touch` needs" in capsys.readouterr().out
+
+
+def test_the_viewer_is_measured(capsys):
+    pytest.importorskip("viser")
+    load("viewer").main(quick=True)
+    row = capsys.readouterr().out.splitlines()[-1]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[0] == "fork, order 1"
+    assert all(float(cell.replace(",", "")) >= 0 for cell in cells[1:])

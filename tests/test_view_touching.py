@@ -36,6 +36,27 @@ def test_a_drag_is_the_equilibrium(model, tip):
     assert touching.max_rotation() == pytest.approx(state.max_rotation, rel=1e-4)
 
 
+def test_a_free_hand_feels_no_torque_and_takes_the_least_force(model, tip):
+    touching = Touching(model)
+    touching.hold(tip)
+    shift = np.array([0.003, 0.001, -0.002])
+    free = touching.drag(shift)
+    move = touching.record().move
+    assert move.mean(axis=0) == pytest.approx(shift)
+    forces = model.contact(tip).force(move)
+    arm = model.mesh.points[tip] - model.mesh.points[tip].mean(axis=0)
+    torque = np.cross(arm, forces).sum(axis=0)
+    clamped = touching.drag(shift, (0, 0, 0))
+    stiff = model.contact(tip).force(touching.record().move)
+    assert np.abs(torque).max() < 1e-6 * np.abs(np.cross(arm, stiff).sum(axis=0)).max()
+    assert free.force @ shift < clamped.force @ shift  # less energy
+    # a single vertex has no direction to hold
+    touching.hold(tip[:1])
+    assert touching.drag(shift).force == pytest.approx(
+        touching.drag(shift, (0, 0, 0)).force
+    )
+
+
 def test_burdens_superpose_as_loads_do(model, tip):
     touching = Touching(model)
     frame = touching.bear(Burden(gravity=2.0, fruit=0.5, stiffness=3.0))

@@ -2,6 +2,7 @@
 
 import signal
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -50,7 +51,9 @@ def view(
             f"no viewer: {why.name} is not installed. Run: pip install 'plantsim[view]'"
         ) from None
     if touches is not None:
-        writable(touches, ".npz")
+        writable(touches, touches.suffix.lower())
+        with TemporaryDirectory() as folder:  # a wrong suffix is told now, not on the page
+            ps.write_observations((), Path(folder) / f"touches{touches.suffix}")
     material = ps.Material(young, poisson, density)
     if source is not None:
         mesh, name, masses = ps.read_mesh(source), source.name, None

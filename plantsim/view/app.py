@@ -28,13 +28,14 @@ from plantsim.mesh.tetmesh import TetMesh
 from plantsim.plant.hung import Masses
 from plantsim.view.panel import Panel
 from plantsim.view.skin import Skin
-from plantsim.view.style import CONTACT, MOVED, rgb
+from plantsim.view.style import CONTACT, MOVED, plain, rgb
 from plantsim.view.touching import Burden, Frame, Touching, hit
 
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 FASTEST = 1 / 60  # [s] between two frames: what screens show
 SLOW = 1 / 12  # [s] between words and colours that change in a drag; the shape goes at once
+REST = 0.25  # [s] without a job until what costs more than a frame is told
 DEFAULT = Material(6e9, 0.35, 900.0)
 
 
@@ -73,19 +74,17 @@ class Viewer:
         self.frame_seconds = 0.0  # that the last frame took to compute and send
         self.frame: Frame | None = None
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
-        self._goal: tuple[Array, Array] | None = None
+        self._goal: tuple[Array, Any] | None = None
         self._lock = threading.Lock()
         self._trace: list[tuple[float, float]] = []
         self._spoke = self._typical = 0.0
         self._told = True
         self._start = self._shift = np.zeros(3)
         self._gizmo: Any = None
-        self.server = viser.ViserServer(
-            host=host, port=port, label="plantsim", verbose=False
-        )
-        self.server.gui.configure_theme(
-            control_layout="collapsible", show_logo=False, show_share_button=False
-        )
+        with contextlib.redirect_stdout(io.StringIO()):  # its own banner
+            self.server = Local(host=host, port=port, label="plantsim", verbose=False)
+        self.server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+z")
         self.panel = Panel(self.server, self)
         self.show(mesh, material, name=name, masses=masses, fixed=fixed)
@@ -185,7 +184,7 @@ class Viewer:
         )
         self._dots.visible = False
         camera, middle = self.server.initial_camera, (low + high) / 2
-        camera.position = tuple(middle + self.span * np.array([0.75, -0.9, 0.2]))
+        camera.position = tuple(middle + self.span * np.array([0.65, -0.8, 0.15]))
         camera.look_at = tuple(middle)
         self.panel.new_plant()
         self._draw(touching.let_go())
@@ -199,11 +198,14 @@ class Viewer:
         """Take hold of vertices and put the gizmo there."""
         self.do(lambda: self._hold(np.asarray(ids)))
 
-    def drag(self, shift: Any, turn: Any = (0, 0, 0)) -> None:
-        """Move the hand: a shift [m] and a rotation vector [rad] from rest."""
+    def drag(self, shift: Any, turn: Any = None) -> None:
+        """Move the hand by a shift [m] from rest.
+
+        `turn`: a rotation vector [rad] that is held; None: it turns as the plant likes.
+        """
         with self._lock:
             waiting = self._goal is not None
-            self._goal = np.asarray(shift, dtype=float), np.asarray(turn, dtype=float)
+            self._goal = np.asarray(shift, dtype=float), turn
         if not waiting:
             self._jobs.put(self._follow)
 
@@ -237,7 +239,7 @@ class Viewer:
     def _work(self) -> None:
         while True:
             try:
-                job = self._jobs.get(timeout=SLOW)
+                job = self._jobs.get(timeout=REST)
             except queue.Empty:
                 job = self._rest_a_moment
             if job is None:
@@ -267,11 +269,12 @@ class Viewer:
         self._drop_gizmo()
         self._trace.clear()
         self._start, self._shift, self._typical = frame.centre, np.zeros(3), 0.0
+        held = self.panel.turning  # whether the hand's direction is
         self._gizmo = self.server.scene.add_transform_controls(
             "/hand",
             scale=0.14 * self.span,
             line_width=4.0,
-            disable_rotations=not self.panel.turning,
+            disable_rotations=not held,
             depth_test=False,
             position=tuple(frame.centre),
         )
@@ -279,7 +282,8 @@ class Viewer:
         @self._gizmo.on_update
         async def _(event: Any) -> None:  # on the event loop, so in order
             at, wxyz = event.target.position, event.target.wxyz
-            self.drag(at - self._start, Rotation.from_quat(wxyz[[1, 2, 3, 0]]).as_rotvec())
+            turn = Rotation.from_quat(wxyz[[1, 2, 3, 0]]).as_rotvec()
+            self.drag(at - self._start, turn if held else None)
 
         self._draw(frame)
 
@@ -323,7 +327,7 @@ class Viewer:
                 tip = frame.centre + way * self._long(newtons, frame.travel)
                 self._arrow.points = np.array([[frame.centre, tip]])
                 self._label.position = tuple(tip)
-                self._label.text = f"{newtons:.3g} N"
+                self._label.text = f"{plain(newtons)} N"
         if held:
             self._trace.append((1e3 * frame.travel, newtons))
         self._told = False

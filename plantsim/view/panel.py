@@ -1,8 +1,11 @@
 """The viewer's controls: what a page shows beside the plant, and what its knobs do."""
 
+import inspect
+import itertools
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +21,7 @@ from plantsim.estimation.parameters import per_limb
 from plantsim.mesh.files import FORMATS, read_mesh
 from plantsim.plant.parameters import species_names
 from plantsim.view.plants import potted
+from plantsim.view.style import plain
 from plantsim.view.touching import Burden, Frame, Touching, kinematics_of
 
 if TYPE_CHECKING:
@@ -53,7 +57,7 @@ class Panel:
 
     @property
     def turning(self) -> bool:
-        """Whether the gizmo can be turned."""
+        """Whether the hand holds the direction of its patch, and can turn it."""
         return bool(self._turn.value)
 
     @property
@@ -105,8 +109,8 @@ class Panel:
             f = frame.force
             rate = f"; {1 / seconds:.0f} frames/s at most" if seconds else ""
             self._words.content = (
-                f"**{np.linalg.norm(f):.3g} N** ({f[0]:.3g}, {f[1]:.3g}, {f[2]:.3g}) for "
-                f"{1e3 * frame.travel:.3g} mm at {held} vertices{rate}"
+                f"**{plain(float(np.linalg.norm(f)))} N** ({', '.join(map(plain, f))}) for "
+                f"{plain(1e3 * frame.travel)} mm at {held} vertices{rate}"
             )
             if rotation is not None and self._viewer.touching.linear:
                 over = rotation > LINEAR_LIMIT
@@ -127,7 +131,7 @@ class Panel:
         viewer = self._viewer
         with gui.add_folder("Touch"):
             self._patch = gui.add_slider("vertices", 1, 24, 1, 6)
-            self._turn = gui.add_checkbox("turn too", False)
+            self._turn = gui.add_checkbox("hold its direction", False)
             go = gui.add_button("Let go")
             go.on_click(lambda _: viewer.let_go())
             nothing = np.array([0.0, 1e-6])
@@ -289,11 +293,17 @@ class Panel:
         viewer, seen = self._viewer, list(self._viewer.recorded)
         self._learn.disabled, self._bar.visible = True, True
         prior = viewer.prior
+        began = time.perf_counter()
+        steps = itertools.count(1)
+
+        def step(_: object) -> None:
+            seconds = time.perf_counter() - began
+            self._result.content = f"*step {next(steps)}, {seconds:.0f} s ...*"
 
         def run() -> None:
-            began = time.perf_counter()
+            self._result.content = f"*fitting {len(seen)} touches ...*"
             try:
-                found = fitted(prior, seen)
+                found = fitted(prior, seen, step)
             except Exception as why:
                 self.complain(f"{why}")
             else:
@@ -321,17 +331,20 @@ class Panel:
         self._recolour()
 
 
-def fitted(prior: Any, seen: list[Any]) -> Any:
+def fitted(prior: Any, seen: list[Any], step: Callable[[Any], None]) -> Any:
     """Return the estimate of the limbs' moduli from recorded touches.
 
-    Touches without noise bear the balance of every vertex; others go by the default method.
+    Touches without noise bear the balance of every vertex; others go by the default method,
+    which calls `step` at each step, if it walks in steps.
     """
     exact = all(s.displacement_noise == s.force_noise == 0 for s in seen)
     if exact:
         return estimate(
             prior, seen, parameters=per_limb(), method="force-balance", rows="balance"
         )
-    return estimate(prior, seen, parameters=per_limb())
+    walks = "progress" in inspect.signature(estimate).parameters
+    told: dict[str, Any] = {"progress": step} if walks else {}
+    return estimate(prior, seen, parameters=per_limb(), **told)
 
 
 def by_limb(touching: Touching, material: Material) -> dict[str, float]:

@@ -79,3 +79,12 @@ def extent(values: ArrayLike) -> tuple[float, float]:
 def rgb(code: str) -> tuple[int, int, int]:
     """Return red, green and blue, 0 to 255, of a colour such as "#0072b2"."""
     return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)
+
+
+def plain(value: float) -> str:
+    """Return a number with three figures or more, and no power of ten where it is large.
+
+    >>> plain(0.01234), plain(5860.4)
+    ('0.0123', '5,860')
+    """
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"

@@ -60,6 +60,7 @@ class Touching:
         self._rest: Equilibrium | None = None  # of the burden alone, where not linear
         self._state: Equilibrium | None = None
         self._move: Array = np.zeros((0, 3))
+        self._free: Array = np.zeros((3, 3))
 
     @property
     def mesh(self) -> TetMesh:
@@ -159,6 +160,7 @@ class Touching:
         if contact is not None:
             contact.surface_displacement((0, 0, 0))  # made at first use: now, not in a drag
         self.ids, self._contact = found, contact
+        self._free = np.zeros((3, 3)) if contact is None else self._freely(contact)
         self._move = np.zeros((len(found), 3))
         return self._frame()
 
@@ -168,15 +170,37 @@ class Touching:
         self._move = np.zeros((0, 3))
         return self._frame()
 
-    def drag(self, shift: ArrayLike, turn: ArrayLike = (0, 0, 0)) -> Frame:
-        """Move the patch as a rigid body, `shift` [m], `turn` a rotation vector [rad]."""
+    def drag(self, shift: ArrayLike, turn: ArrayLike | None = None) -> Frame:
+        """Move the patch as a rigid body by `shift` [m].
+
+        `turn`: a rotation vector [rad] about its middle; where None, it turns as the plant
+        likes, so that the hand feels no torque (of linear kinematics; others hold it).
+        """
         if not len(self.ids):
             raise ModelError("nothing is held. Hold some vertices first.")
-        d = np.asarray(shift, dtype=float)
-        arm = self.mesh.points[self.ids] - self.mesh.points[self.ids].mean(axis=0)
-        turned = Rotation.from_rotvec(np.asarray(turn, dtype=float)).apply(arm)
-        self._move = turned - arm + d
+        d, arm = np.asarray(shift, dtype=float), self._arm
+        if turn is None and self._contact is not None:
+            self._move = d + np.cross(self._free @ d, arm)
+        else:
+            angle = np.zeros(3) if turn is None else np.asarray(turn, dtype=float)
+            self._move = Rotation.from_rotvec(angle).apply(arm) - arm + d
         return self._frame()
+
+    @property
+    def _arm(self) -> Array:
+        """From the patch's middle to its vertices at rest, (k, 3) [m]."""
+        held = self.mesh.points[self.ids]
+        return held - held.mean(axis=0)
+
+    def _freely(self, contact: Contact) -> Array:
+        """Return the small turn (3, 3) [rad/m] a shift that takes no torque comes with."""
+        arm = self._arm
+        turns = np.stack([np.cross(axis, arm) for axis in np.eye(3)], axis=2)
+        R = turns.reshape(-1, 3)
+        T = np.tile(np.eye(3), (len(arm), 1))
+        torque, both = R.T @ contact.stiffness @ R, R.T @ contact.stiffness @ T
+        # a point or a line cannot feel all turns: the least of those that do
+        return -np.linalg.pinv(torque, rcond=1e-9, hermitian=True) @ both
 
     def _frame(self) -> Frame:
         mesh, on = self.mesh, self.mesh.surface_vertices
