@@ -10,6 +10,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from plantsim.datasets.generate import dataset as dataset
+    from plantsim.datasets.reading import Dataset as Dataset
+    from plantsim.datasets.reading import open_dataset as open_dataset
+    from plantsim.datasets.recipe import Recipe as Recipe
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
     from plantsim.elastic.loads import force as force
     from plantsim.elastic.loads import hang as hang
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
     from plantsim.elastic.model import ElasticModel as ElasticModel
     from plantsim.elastic.modes import modes as modes
     from plantsim.elastic.weight import gravity as gravity
+    from plantsim.errors import DatasetError as DatasetError
     from plantsim.errors import DependencyError as DependencyError
     from plantsim.errors import EstimateError as EstimateError
     from plantsim.errors import FileError as FileError
@@ -71,6 +76,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "plantsim.datasets.generate": ("dataset",),
+    "plantsim.datasets.reading": ("Dataset", "open_dataset"),
+    "plantsim.datasets.recipe": ("Recipe",),
     "plantsim.elastic.equilibrium": ("Equilibrium",),
     "plantsim.elastic.loads": ("force", "hang", "hold", "move", "traction"),
     "plantsim.elastic.material": ("Material",),
@@ -78,6 +86,7 @@ _HOME = {
     "plantsim.elastic.modes": ("modes",),
     "plantsim.elastic.weight": ("gravity",),
     "plantsim.errors": (
+        "DatasetError",
         "DependencyError",
         "EstimateError",
         "FileError",

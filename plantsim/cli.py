@@ -11,7 +11,7 @@ from rich.table import Table
 
 import plantsim as ps
 from plantsim.doctor import examine, missing_packages
-from plantsim.errors import ModelError, PlantsimError
+from plantsim.errors import DatasetError, ModelError, PlantsimError
 from plantsim.paths import writable
 
 app = typer.Typer(
@@ -188,6 +188,53 @@ def push(
         typer.echo(f"wrote {write_state(state, out)}")
     if picture is not None:
         typer.echo(f"wrote {ps.figure_deformation(state, picture)}")
+
+
+@app.command()
+def dataset(
+    recipe: Annotated[Path | None, typer.Argument(help="A recipe: .toml")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the data set.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Local processes; one a CPU if not given.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a running Dask scheduler.")
+    ] = None,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Try failed plants again.")
+    ] = False,
+    check: Annotated[Path | None, typer.Option(help="Check the data set here.")] = None,
+    summary: Annotated[
+        Path | None, typer.Option(help="Write summary.html about the data set here.")
+    ] = None,
+    example: Annotated[
+        Path | None, typer.Option(help="Write a recipe to start from here.")
+    ] = None,
+) -> None:
+    """Make many plants with their touches, or finish what an earlier run began.
+
+    Example: plantsim dataset --example recipe.toml, then
+    plantsim dataset recipe.toml --out plants, then plantsim dataset --summary plants
+    """
+    from plantsim.datasets import command  # noqa: PLC0415
+
+    if (recipe is None) != (out is None):
+        raise DatasetError("give both a recipe and --out, or neither.")
+    if all(given is None for given in (recipe, check, summary, example)):
+        raise DatasetError("nothing to do: give a recipe and --out, or see --help.")
+    if example is not None:
+        typer.echo(f"wrote {command.write_example(example)}")
+    sound = True
+    if recipe is not None and out is not None:
+        found = command.generate(console, recipe, out, workers, scheduler, retry)
+        typer.echo(repr(found))
+        sound = bool(len(found))
+    if check is not None:
+        sound = command.check(console, check).sound and sound
+    if summary is not None:
+        typer.echo(f"wrote {command.summarise(summary)}")
+    if not sound:
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -24,7 +24,12 @@ DRAWING_LIBRARIES = {"libEGL.so.1": "libegl1"}
 DRIVERS = ("*/dri/swrast_dri.so", "*/libgallium*.so")  # what Mesa draws with, by version
 DRIVER_PACKAGE = "libgl1-mesa-dri"
 CORE = ("numpy", "scipy", "scikit-fem", "gmsh", "meshio", "pyamg", "cvxpy", "typer")
-EXTRAS = {"view": ("pyvista", "matplotlib"), "io": ("h5py",), "fast": ("pypardiso",)}
+EXTRAS = {
+    "view": ("pyvista", "matplotlib"),
+    "io": ("h5py",),
+    "scale": ("distributed", "h5py"),
+    "fast": ("pypardiso",),
+}
 
 
 @dataclass(frozen=True)

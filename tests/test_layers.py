@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = """errors arrays paths plant mesh solid solve elastic touch estimation view doctor
-demo cli""".split()
+ROOMS = """errors arrays paths plant mesh solid solve elastic touch estimation view datasets
+doctor demo cli""".split()
 HOMES = {
     "gmsh": {"solid/gmsh_model.py"},
     "meshio": {"mesh/files.py"},
@@ -18,6 +18,9 @@ HOMES = {
     "cvxpy": {"estimation/force_balance.py"},
     "pyvista": {"view/figures.py"},
     "typer": {"cli.py"},
+    "h5py": {"datasets/store.py"},
+    "dask": {"datasets/cluster.py"},
+    "distributed": {"datasets/cluster.py"},
 }
 FILES = sorted((ROOT / "plantsim").rglob("*.py"))
 
@@ -81,7 +84,8 @@ def test_files_stay_short(path):
 def test_import_is_light():
     code = (
         "import sys, plantsim; heavy = set(sys.modules) & set("
-        "'gmsh meshio pyamg skfem cvxpy pyvista vtk typer matplotlib'.split()); "
+        "'gmsh meshio pyamg skfem cvxpy pyvista vtk typer matplotlib h5py '"
+        "'distributed'.split()); "
         "assert not heavy, heavy; assert 'weber_penn' in dir(plantsim)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,145 @@
+"""Dask: many plants on the processes of this machine or on a cluster. The home of Dask."""
+
+import logging
+import socket
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from plantsim.datasets.warden import end_children, plant_in_child
+from plantsim.errors import DatasetError, DependencyError
+
+PATIENCE = 30.0  # s to wait for a scheduler, and for its first worker
+AHEAD = 3  # plants under way or waiting, a thread
+
+
+@contextmanager
+def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
+    """Yield a Dask client: of `workers` local processes, or of a running scheduler.
+
+    Local processes are spawned, one thread each, and end with this one, however it ends.
+    """
+    try:
+        import dask  # noqa: PLC0415  an extra
+        from distributed import Client, LocalCluster  # noqa: PLC0415
+    except ImportError:
+        raise DependencyError(
+            "dask is not installed. Run: pip install 'plantsim[scale]'"
+        ) from None
+    quiet = logging.getLogger("distributed")
+    level = quiet.level
+    quiet.setLevel(logging.CRITICAL)  # a killed worker is our business, and told below
+    config = {
+        "distributed.worker.multiprocessing-method": "spawn",
+        "distributed.comm.timeouts.connect": f"{PATIENCE:.0f}s",
+    }
+    try:
+        with dask.config.set(config):
+            if scheduler is not None:
+                try:
+                    client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
+                except (OSError, ValueError, TypeError) as why:
+                    raise DatasetError(
+                        f"no Dask scheduler at {scheduler} ({why or type(why).__name__}). "
+                        "Give the address that `dask scheduler` prints, tcp://HOST:8786."
+                    ) from None
+                with client:
+                    yield client
+                return
+            try:
+                cluster = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address=None,
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                )
+            except RuntimeError as why:
+                raise DatasetError(
+                    f"the worker processes did not start ({why}). A script that calls "
+                    'ps.dataset needs `if __name__ == "__main__":` before it.'
+                ) from None
+            with cluster, Client(cluster, set_as_default=False) as client:
+                yield client
+    finally:
+        quiet.setLevel(level)
+
+
+def sees(folder: str, mark: str) -> tuple[str, bool]:
+    """Return the host of this worker, and whether it sees the data set's folder."""
+    return socket.gethostname(), Path(folder, mark).exists()
+
+
+def check_workers(client: Any, folder: Path, mark: str) -> int:
+    """Return the number of threads; DatasetError unless all workers see the folder."""
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except TimeoutError:
+        raise DatasetError(
+            "the Dask scheduler has no workers. Start some: dask worker ADDRESS"
+        ) from None
+    try:
+        found = client.run(sees, str(folder), mark)
+    except Exception as why:  # whatever a worker without plantsim says
+        raise DatasetError(
+            f"a Dask worker cannot run plantsim ({type(why).__name__}: {why}). Install the "
+            "same plantsim[scale] there."
+        ) from None
+    blind = [host for host, good in found.values() if not good]
+    if blind:
+        raise DatasetError(
+            f"{len(blind)} of {len(found)} Dask workers (first: on {blind[0]}) do not see "
+            f"{folder}. Give a folder that all machines share."
+        )
+    return sum(client.nthreads().values())
+
+
+def make_all(
+    client: Any,
+    recipe: dict[str, Any],
+    plants: Iterator[int],
+    folder: Path,
+    threads: int,
+    tell: Callable[[dict[str, Any]], None],
+) -> int:
+    """Make plants, tell each answer; return how many were lost with their workers.
+
+    Dask keeps the queue; no more than a few a thread are handed to it ahead. Raises
+    DatasetError where the scheduler is gone, or a worker says that no plant can be made.
+    """
+    from distributed import as_completed  # noqa: PLC0415
+
+    run = uuid.uuid4().hex[:8]
+
+    def submit(plant: int) -> Any:
+        name = f"plant-{plant}-{run}"
+        return client.submit(
+            plant_in_child, recipe, plant, str(folder), key=name, pure=False
+        )
+
+    lost = 0
+    first = [submit(p) for p in islice(plants, AHEAD * threads)]
+    pending = as_completed(first, loop=client.loop)
+    for future in pending:
+        if future.status == "finished":
+            answer = future.result()
+            if "halt" in answer:
+                raise DatasetError(f"{answer['halt']}. Make room or mend that")
+            tell(answer["row"])
+        elif future.status == "error":
+            lost += 1  # its workers were killed, one after the other
+        else:
+            raise DatasetError("the Dask scheduler is gone. Start it again")
+        future.release()
+        pending.update([submit(p) for p in islice(plants, 1)])
+    return lost
+
+
+def release(client: Any) -> None:
+    """End the processes that the workers of a cluster made plants in."""
+    client.run(end_children)
