@@ -29,6 +29,7 @@ def make(request: dict[str, Any]) -> dict[str, Any]:
     would befall every other one too.
     """
     plant, folder = request["plant"], Folder(Path(request["folder"]))
+    clock = time.process_time()
     try:
         from plantsim.datasets.plant import make_plant  # noqa: PLC0415  gmsh may be missing
 
@@ -40,7 +41,11 @@ def make(request: dict[str, Any]) -> dict[str, Any]:
             path,
             made.arrays,
             made.facts,
-            lambda: {**made.seconds, "write": time.perf_counter() - began},
+            lambda: {
+                **made.seconds,
+                "write": time.perf_counter() - began,
+                "cpu": time.process_time() - clock,
+            },
         )
         return {"row": row_of(path, folder.path)}
     except (OSError, DependencyError) as why:

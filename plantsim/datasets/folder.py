@@ -24,9 +24,10 @@ NUMBERS = (
 )
 STAGES = ("grow", "mesh", "model", "touch", "write")
 SECONDS = tuple(f"seconds_{stage}" for stage in STAGES)
+CPU = "seconds_cpu"  # of all stages, whatever else the machine did
 COLUMNS = (
     *("plant", "status", "split", "species", "file", "bytes", "digest"),
-    *(*WHOLES[2:], *NUMBERS, *SECONDS, "kind", "reason"),
+    *(*WHOLES[2:], *NUMBERS, *SECONDS, CPU, "kind", "reason"),
 )
 Row = dict[str, Any]
 
@@ -188,9 +189,10 @@ class Folder:
         out: list[Row] = []
         try:
             with self.index_file.open(encoding="utf-8", newline="") as f:
-                for line in csv.DictReader(f):
-                    row: Row = {name: line[name] for name in TEXTS}
-                    for name in (*WHOLES, *NUMBERS, *SECONDS):
+                whole = (line for line in f if line.endswith("\n"))  # not cut short
+                for line in csv.DictReader(whole):
+                    row: Row = {name: line[name] for name in TEXTS if line[name]}
+                    for name in (*WHOLES, *NUMBERS, *SECONDS, CPU):
                         if line[name]:
                             row[name] = (int if name in WHOLES else float)(line[name])
                     row.setdefault("bytes", 0)
@@ -205,7 +207,7 @@ def row_of(path: Path, top: Path) -> Row:
     with store.opened(path) as f:
         facts, run, digest = store.facts(f), store.run(f), store.digest(f)
     row = {name: facts[name] for name in COLUMNS if name in facts}
-    row |= {f"seconds_{s}": run[s] for s in STAGES if s in run}
+    row |= {f"seconds_{s}": run[s] for s in (*STAGES, "cpu") if s in run}
     if not isinstance(row.get("plant"), int):
         raise FileError(f"{path}: it does not say which plant it is. Delete it.")
     size = os.path.getsize(path)

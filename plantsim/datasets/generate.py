@@ -81,8 +81,11 @@ def dataset(
             if missing:
                 plants = (p for p in range(recipe.plants) if p not in rows)
                 _make(recipe, plants, folder, scheduler, min(workers, missing), log)
-        finally:
-            log.write()
+        except BaseException:
+            with contextlib.suppress(OSError):  # it is made anew from what is there
+                folder.write_index(folder.rows())
+            raise
+        log.write()
     return open_dataset(folder.path)
 
 

@@ -20,16 +20,16 @@ from plantsim.view.skeletons import contact_sheet
 
 SHOWN = 30  # plants on the sheet
 FAILURES = 50  # failures in the table
-CHARTS = {
-    "height_m": "height, m",
-    "mass_kg": "mass, kg",
-    "limbs": "limbs",
-    "tets": "tets",
-    "worst_gamma": "worst gamma",
-    "young_pa": "Young, Pa",
-    "sag_m": "sag by own weight, m",
-    "touch_force_n": "force of a touch, N",
-    "touch_depth_m": "depth of a touch, m",
+CHARTS = {  # column: title, factor
+    "height_m": ("height, m", 1),
+    "mass_kg": ("mass, kg", 1),
+    "limbs": ("limbs", 1),
+    "tets": ("thousand tets", 1e-3),
+    "worst_gamma": ("worst gamma", 1),
+    "young_pa": ("Young, GPa", 1e-9),
+    "sag_m": ("sag by own weight, mm", 1e3),
+    "touch_force_n": ("force of a touch, N", 1),
+    "touch_depth_m": ("depth of a touch, mm", 1e3),
 }
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68em; margin: 2em auto;
@@ -158,7 +158,7 @@ def _failures(rows: tuple[Row, ...]) -> str:
 
 
 def _charts(data: Dataset) -> bytes:
-    columns = {title: data.column(name) for name, title in CHARTS.items()}
+    columns = {title: data.column(name) * by for name, (title, by) in CHARTS.items()}
     columns["seconds a plant"] = _seconds(data).sum(axis=1)
     with tempfile.TemporaryDirectory() as folder:
         return histograms(columns, Path(folder) / "charts.png").read_bytes()
@@ -170,7 +170,7 @@ def _sheet(data: Dataset) -> bytes:
     named = [(f"{p.row['plant']}: {p.row['species']}", p.skeleton) for p in plants]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "sheet.png"
-        return contact_sheet(named, out, columns=6).read_bytes()
+        return contact_sheet(named, out, columns=min(6, len(named))).read_bytes()
 
 
 def _picture(png: bytes, what: str) -> str:

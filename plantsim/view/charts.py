@@ -26,6 +26,8 @@ def histograms(
         if low > 0 and high / low > WIDE:
             bins = np.geomspace(low, high, 21)
             axes.set_xscale("log")
+        elif high > low and high - low < 40 and not (values % 1).any():
+            bins = np.arange(low - 0.5, high + 1)  # whole numbers: a bar each
         elif high > low:
             bins = np.linspace(low, high, 21)
         else:
@@ -33,6 +35,7 @@ def histograms(
         axes.hist(values, bins, color=BAR)
         axes.set_title(f"{title} (median {np.median(values):.3g})", fontsize=8)
         axes.tick_params(labelsize=7)
+        axes.yaxis.get_major_locator().set_params(integer=True)
         axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
     return saved(figure, out)
