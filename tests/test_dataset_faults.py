@@ -52,10 +52,15 @@ def faulty(make_plant):
         if fault == "hang":
             ctypes.CDLL(None).pause()  # in C, deaf to Python
         if fault == "unmeshable":
-            from plantsim.solid import gmsh_model
-            def generate(*_):
+            from plantsim.solid.gmsh_model import gmsh
+            def broken(*_):
                 raise Exception("PLC Error: A segment and a facet intersect")
-            gmsh_model.gmsh.model.mesh.generate = generate
+            whole = gmsh.model.mesh.generate
+            gmsh.model.mesh.generate = broken
+            try:
+                return make_plant(recipe, plant)
+            finally:
+                gmsh.model.mesh.generate = whole
         return make_plant(recipe, plant)
     return make
 
@@ -219,7 +224,7 @@ def cluster(bench, name, **faults):
         assert scheduler.poll() is None
         time.sleep(0.1)
     address = json.loads(file.read_text())["address"]
-    more = ("--nworkers", "2", "--nthreads", "1", "--death-timeout", "5", "--no-dashboard")
+    more = ("--nworkers", "2", "--nthreads", "1", "--death-timeout", "60", "--no-dashboard")
     hands = dask(bench, "worker", address, "--host", "127.0.0.1", *more, **faults)
     return scheduler, hands, address
 
@@ -242,7 +247,8 @@ def test_sigkill_to_the_scheduler_of_a_cluster_and_a_second_run_on_a_new_one(ben
         assert gone(below)
         before = bench.times()
         assert 2 <= len(before) < 8
-        assert len(bench.index()) == len(before)
+        # the workers may have ended what they had begun: that is not lost either
+        assert len(bench.index()) <= len(before) == len(ps.open_dataset(bench.out))
         code, _, err = bench.run("--scheduler", address)  # which nobody answers at now
         assert code == 1
         assert err.startswith(f"plantsim: no Dask scheduler at {address}")
@@ -264,7 +270,7 @@ def test_sigkill_to_the_scheduler_of_a_cluster_and_a_second_run_on_a_new_one(ben
 def test_a_plant_that_crashes_hangs_or_cannot_be_meshed_is_listed_with_the_reason(
     bench, recipe
 ):
-    bench.write(replace(recipe, timeout=6.0))
+    bench.write(replace(recipe, timeout=10.0))
     code, out, err = bench.run(
         "--workers", "2", **{"1": "crash", "2": "hang", "5": "unmeshable"}
     )
@@ -277,7 +283,7 @@ def test_a_plant_that_crashes_hangs_or_cannot_be_meshed_is_listed_with_the_reaso
         5: "error",
     }
     assert "signal 11" in failed[1]["reason"]
-    assert "not done after 6 s" in failed[2]["reason"]
+    assert "not done after 10 s" in failed[2]["reason"]
     assert "no attempt of 6 gave a sound mesh" in failed[5]["reason"]
     assert {r["species"] for r in failed.values()} == {"strawberry"}
     assert not [

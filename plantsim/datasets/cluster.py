@@ -12,7 +12,8 @@ from typing import Any
 from plantsim.datasets.warden import end_children, plant_in_child
 from plantsim.errors import DatasetError, DependencyError
 
-PATIENCE = 30.0  # s to wait for a scheduler, and for its first worker
+PATIENCE = 60.0  # s to wait for a scheduler, and for its first worker
+CLIENT: dict[str, Any] = {"set_as_default": False}  # leave the user's own client alone
 AHEAD = 3  # plants under way or waiting, a thread
 
 
@@ -29,45 +30,58 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
         raise DependencyError(
             "dask is not installed. Run: pip install 'plantsim[scale]'"
         ) from None
-    quiet = logging.getLogger("distributed")
-    level = quiet.level
-    quiet.setLevel(logging.CRITICAL)  # a killed worker is our business, and told below
     config = {
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.comm.timeouts.connect": f"{PATIENCE:.0f}s",
     }
-    try:
-        with dask.config.set(config):
-            if scheduler is not None:
-                try:
-                    client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
-                except (OSError, ValueError, TypeError) as why:
-                    raise DatasetError(
-                        f"no Dask scheduler at {scheduler} ({why or type(why).__name__}). "
-                        "Give the address that `dask scheduler` prints, tcp://HOST:8786."
-                    ) from None
-                with client:
-                    yield client
-                return
-            try:
-                cluster = LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    memory_limit=0,
-                    silence_logs=logging.CRITICAL,
-                )
-            except RuntimeError as why:
-                raise DatasetError(
-                    f"the worker processes did not start ({why}). A script that calls "
-                    'ps.dataset needs `if __name__ == "__main__":` before it.'
-                ) from None
-            with cluster, Client(cluster, set_as_default=False) as client:
+    with _silent("distributed"), dask.config.set(config):
+        if scheduler is None:
+            with _local(LocalCluster, workers) as own, Client(own, **CLIENT) as client:
                 yield client
+            return
+        try:
+            client = Client(scheduler, timeout=PATIENCE, **CLIENT)
+        except (OSError, ValueError, TypeError) as why:
+            raise DatasetError(
+                f"no Dask scheduler at {scheduler} ({why or type(why).__name__}). Give the "
+                "address that `dask scheduler` prints, tcp://HOST:8786."
+            ) from None
+        with client:
+            yield client
+
+
+def _local(kind: Any, workers: int) -> Any:
+    """Return a cluster of spawned processes, which listens on loopback only."""
+    try:
+        return kind(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
+    except RuntimeError as why:
+        raise DatasetError(
+            f"the worker processes did not start ({why}). A script that calls ps.dataset "
+            'needs `if __name__ == "__main__":` before it.'
+        ) from None
+
+
+@contextmanager
+def _silent(package: str) -> Iterator[None]:
+    """Keep a package's loggers still: a killed worker is our business, and told by us."""
+    known = (name for name in logging.root.manager.loggerDict)
+    own = [n for n in known if n == package or n.startswith(f"{package}.")]
+    levels = {name: logging.getLogger(name).level for name in own}
+    for name in own:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        yield
     finally:
-        quiet.setLevel(level)
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
 def sees(folder: str, mark: str) -> tuple[str, bool]:

@@ -75,6 +75,9 @@ class Folder:
         More plants than last time are welcome. Raises DatasetError where the folder holds
         something else.
         """
+        for name in (".recipe-*.json", ".index-*.csv", ".summary-*.html"):
+            for half in self.path.glob(name):
+                half.unlink()
         if self.recipe_file.exists():
             old = self.recipe()
             if old.fingerprint != recipe.fingerprint:
@@ -97,10 +100,8 @@ class Folder:
                 )
         for name in ("plants", "failures"):
             (self.path / name).mkdir(exist_ok=True)
-        for half in self.path.glob(".[!l]*"):
-            half.unlink()
-        for part in (*(self.path / "plants").iterdir(), self.path / "failures"):
-            for half in part.glob(".*"):
+        for part in (*(self.path / "plants").glob("[0-9]*"), self.path / "failures"):
+            for half in part.glob(".[0-9]*-*"):
                 half.unlink(missing_ok=True)
         with replacing(self.recipe_file) as temporary:
             temporary.write_text(json.dumps(recipe.plain(), indent=1), encoding="utf-8")

@@ -91,7 +91,7 @@ def _counts(data: Dataset) -> str:
         ("on disk", f"{size / 1e6:,.0f} MB, {size / len(data) / 1e6:.2f} MB a plant"),
         ("seed, fingerprint", f"{recipe.seed}, {recipe.fingerprint}"),
     ]
-    return _table(("", ""), rows)
+    return _table(("", ""), rows, numbers=False)
 
 
 def _species(data: Dataset) -> str:
@@ -178,9 +178,9 @@ def _picture(png: bytes, what: str) -> str:
     return f'<img alt="{what}" src="data:image/png;base64,{text}">'
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+def _table(head: tuple[str, ...], rows: list[tuple[Any, ...]], numbers: bool = True) -> str:
     def cell(i: int, value: Any) -> str:
-        number = i > 0 and str(value)[:1].isdigit() and " " not in str(value)
+        number = numbers and i > 0 and str(value)[:1].isdigit() and " " not in str(value)
         return f"<td{' class=n' if number else ''}>{html.escape(str(value))}</td>"
 
     top = "".join(f"<th>{html.escape(name)}</th>" for name in head)
