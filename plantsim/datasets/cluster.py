@@ -12,7 +12,8 @@ from typing import Any
 from plantsim.datasets.warden import end_children, plant_in_child
 from plantsim.errors import DatasetError, DependencyError
 
-PATIENCE = 60.0  # s to wait for a scheduler, and for its first worker
+CONNECT = 15.0  # s to wait for a scheduler
+PATIENCE = 60.0  # s to wait for its first worker
 CLIENT: dict[str, Any] = {"set_as_default": False}  # leave the user's own client alone
 AHEAD = 3  # plants under way or waiting, a thread
 
@@ -30,17 +31,14 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
         raise DependencyError(
             "dask is not installed. Run: pip install 'plantsim[scale]'"
         ) from None
-    config = {
-        "distributed.worker.multiprocessing-method": "spawn",
-        "distributed.comm.timeouts.connect": f"{PATIENCE:.0f}s",
-    }
+    config = {"distributed.worker.multiprocessing-method": "spawn"}
     with _silent("distributed"), dask.config.set(config):
         if scheduler is None:
             with _local(LocalCluster, workers) as own, Client(own, **CLIENT) as client:
                 yield client
             return
         try:
-            client = Client(scheduler, timeout=PATIENCE, **CLIENT)
+            client = Client(scheduler, timeout=CONNECT, **CLIENT)
         except (OSError, ValueError, TypeError) as why:
             raise DatasetError(
                 f"no Dask scheduler at {scheduler} ({why or type(why).__name__}). Give the "

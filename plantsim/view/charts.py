@@ -26,6 +26,7 @@ def histograms(
         if low > 0 and high / low > WIDE:
             bins = np.geomspace(low, high, 21)
             axes.set_xscale("log")
+            axes.xaxis.set_minor_formatter("")  # powers of ten alone have room
         elif high > low and high - low < 40 and not (values % 1).any():
             bins = np.arange(low - 0.5, high + 1)  # whole numbers: a bar each
         elif high > low:
