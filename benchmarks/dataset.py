@@ -119,7 +119,13 @@ def scale(rows, efficiency: float) -> None:
         cells = []
         for n in WORKERS:
             hours = plants * cpu / 3600 / (n if n == 1 else n * efficiency)
-            cells.append(f"{hours / 24:,.1f} days" if hours > 48 else f"{hours:,.1f} h")
+            cells.append(
+                f"{hours / 24:,.0f} days"
+                if hours > 48
+                else f"{hours:,.1f} h"
+                if hours > 1
+                else f"{60 * hours:.0f} min"
+            )
         print(f"| {plants:,} | {plants * disk / 1e9:,.0f} | " + " | ".join(cells) + " |")
 
 

@@ -15,6 +15,7 @@ import pytest
 
 import plantsim as ps
 from plantsim.datasets import store
+from plantsim.datasets.folder import Folder
 from plantsim.datasets.recipe import Kind, Meshing, Touching
 
 pytest.importorskip("h5py")
@@ -273,7 +274,7 @@ def test_sigkill_to_the_scheduler_of_a_cluster_and_a_second_run_on_a_new_one(ben
 def test_a_plant_that_crashes_hangs_or_cannot_be_meshed_is_listed_with_the_reason(
     bench, recipe
 ):
-    bench.write(replace(recipe, timeout=10.0))
+    bench.write(replace(recipe, timeout=15.0))
     code, out, err = bench.run(
         "--workers", "2", **{"1": "crash", "2": "hang", "5": "unmeshable"}
     )
@@ -286,7 +287,7 @@ def test_a_plant_that_crashes_hangs_or_cannot_be_meshed_is_listed_with_the_reaso
         5: "error",
     }
     assert "signal 11" in failed[1]["reason"]
-    assert "not done after 10 s" in failed[2]["reason"]
+    assert "not done after 15 s" in failed[2]["reason"]
     assert "no attempt of 6 gave a sound mesh" in failed[5]["reason"]
     assert {r["species"] for r in failed.values()} == {"strawberry"}
     assert not [
