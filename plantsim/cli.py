@@ -226,7 +226,11 @@ def dataset(
         typer.echo(f"wrote {command.write_example(example)}")
     sound = True
     if recipe is not None and out is not None:
-        found = command.generate(console, recipe, out, workers, scheduler, retry)
+        try:
+            found = command.generate(console, recipe, out, workers, scheduler, retry)
+        except KeyboardInterrupt:
+            typer.echo("plantsim: interrupted. The same command goes on from there.")
+            raise typer.Exit(130) from None
         typer.echo(repr(found))
         sound = bool(len(found))
     if check is not None:

@@ -106,6 +106,7 @@ class Bench:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            start_new_session=True,
         )
         if limit is not None:
             resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
@@ -195,9 +196,10 @@ def test_interrupt_at_the_keyboard_ends_all_and_the_next_run_goes_on(bench):
     run = bench.start("--workers", "1", slow=0.5)
     bench.wait_for(1, run)
     below = descendants(run)
-    run.send_signal(signal.SIGINT)
-    run.communicate(timeout=PATIENCE)
-    assert run.returncode not in (0, None)
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all of them
+    out, err = run.communicate(timeout=PATIENCE)
+    assert (run.returncode, err) == (130, "")
+    assert "interrupted. The same command goes on" in out
     assert gone(below)
     assert len(ps.open_dataset(bench.out)) == len(bench.files()) >= 1
     assert {r["status"] for r in bench.index()} == {"done"}

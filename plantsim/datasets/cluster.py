@@ -1,7 +1,9 @@
 """Dask: many plants on the processes of this machine or on a cluster. The home of Dask."""
 
 import logging
+import signal
 import socket
+import threading
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -48,18 +50,35 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
             yield client
 
 
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Ignore the keyboard's interrupt, so that processes begun meanwhile do so for good.
+
+    This one is told by it alone, and ends them in order.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _local(kind: Any, workers: int) -> Any:
     """Return a cluster of spawned processes, which listens on loopback only."""
     try:
-        return kind(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-        )
+        with _deaf():
+            return kind(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )
     except RuntimeError as why:
         raise DatasetError(
             f"the worker processes did not start ({why}). A script that calls ps.dataset "
