@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import plantsim as ps
+from plantsim.cli import app
 from plantsim.datasets import store
 from plantsim.datasets.draw import drawn, limb_field, split_of
 from plantsim.datasets.recipe import Kind, Meshing, Touching, example, write_example
@@ -423,6 +425,33 @@ def test_spoilt_plants_are_made_again_with_the_same_numbers(recipe, made, tmp_pa
     assert [r["digest"] for r in again.rows] == [r["digest"] for r in made.rows]
     assert not list(files[0].parent.glob(".*"))
     assert check_dataset(folder).sound
+
+
+def test_the_command_checks_and_summarises_and_says_what_is_wrong(made, tmp_path):
+    pytest.importorskip("matplotlib")
+    runner = CliRunner()
+    folder = copied(made, tmp_path)
+    good = runner.invoke(app, ["dataset", "--check", str(folder), "--summary", str(folder)])
+    assert good.exit_code == 0, good.output
+    assert "5 of 5 plants are there, 0 failed, 0 missing" in good.stdout
+    assert (folder / "summary.html").exists()
+    sorted(folder.rglob("*.h5"))[0].unlink()
+    bad = runner.invoke(app, ["dataset", "--check", str(folder)])
+    assert bad.exit_code == 1
+    assert "4 of 5 plants are there, 0 failed, 1 missing" in bad.stdout
+    example = tmp_path / "recipe.toml"
+    assert runner.invoke(app, ["dataset", "--example", str(example)]).exit_code == 0
+    assert ps.Recipe.read(example).plants == 200
+    for options, words in (
+        ([], "nothing to do"),
+        ([str(example)], "both a recipe and --out"),
+        (["--check", str(tmp_path)], "no data set"),
+        (["--example", str(example)], "there already"),
+        (["no.toml", "--out", str(folder)], "no such file"),
+    ):
+        refused = runner.invoke(app, ["dataset", *options])
+        assert isinstance(refused.exception, ps.PlantsimError), options
+        assert words in str(refused.exception)
 
 
 def test_summary_is_one_page_with_its_pictures(made, tmp_path):
