@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import plantsim as ps
-from plantsim.datasets import store
+from plantsim.datasets import store, warden
 from plantsim.datasets.folder import Folder
 from plantsim.datasets.recipe import Kind, Meshing, Touching
 
@@ -369,3 +369,15 @@ def test_two_runs_do_not_write_to_one_folder(bench, recipe):
         pytest.raises(ps.DatasetError, match="another run is writing here"),
     ):
         ps.dataset(recipe, bench.out, workers=1)
+
+
+def test_a_process_that_cannot_start_is_no_plants_fault(bench, recipe, monkeypatch):
+    monkeypatch.setattr(warden.sys, "executable", "/bin/false")
+    bench.out.mkdir()
+    with pytest.raises(warden.NotStarted, match="exit code 1"):
+        warden.plant_in_child(recipe.plain(), 0, str(bench.out))
+    assert not list(bench.out.iterdir())
+    monkeypatch.undo()
+    made = warden.plant_in_child(recipe.plain(), 0, str(bench.out))
+    assert made["row"]["status"] == "done"
+    warden.end_children()

@@ -137,8 +137,8 @@ def make_all(
     folder: Path,
     threads: int,
     tell: Callable[[dict[str, Any]], None],
-) -> int:
-    """Make plants, tell each answer; return how many were lost with their workers.
+) -> list[str]:
+    """Make plants, tell each answer; return why some were lost with their workers.
 
     Dask keeps the queue; no more than a few a thread are handed to it ahead. Raises
     DatasetError where the scheduler is gone, or a worker says that no plant can be made.
@@ -153,7 +153,7 @@ def make_all(
             plant_in_child, recipe, plant, str(folder), key=name, pure=False
         )
 
-    lost = 0
+    lost: list[str] = []
     first = [submit(p) for p in islice(plants, AHEAD * threads)]
     pending = as_completed(first, loop=client.loop)
     for future in pending:
@@ -163,7 +163,8 @@ def make_all(
                 raise DatasetError(f"{answer['halt']}. Make room or mend that")
             tell(answer["row"])
         elif future.status == "error":
-            lost += 1  # its workers were killed, one after the other
+            why = future.exception()  # of the workers that had it, not of the plant
+            lost.append(" ".join(f"{type(why).__name__}: {why}".split())[:200])
         else:
             raise DatasetError("the Dask scheduler is gone. Start it again")
         future.release()

@@ -116,8 +116,8 @@ def _make(
         ) from None
     if lost:
         raise DatasetError(
-            f"{lost} plants were lost with workers that were killed over and over. Run the "
-            "same command again."
+            f"{len(lost)} plants were lost with their workers ({lost[0]}). Run the same "
+            "command again."
         )
 
 

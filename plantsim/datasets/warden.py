@@ -25,6 +25,10 @@ class Ended(Exception):
     """The child is gone without an answer: what happened, in words."""
 
 
+class NotStarted(Exception):
+    """A child could not be started, which is no plant's fault: why, in words."""
+
+
 class Child:
     """One child process, started at need and again after it was ended."""
 
@@ -35,8 +39,8 @@ class Child:
     def ask(self, request: dict[str, Any], limit: float) -> dict[str, Any]:
         """Return the child's answer.
 
-        Raises TimeoutError after `limit` seconds and Ended where it crashed; it is gone
-        then.
+        Raises TimeoutError after `limit` seconds, Ended where it crashed, and NotStarted;
+        it is gone then.
         """
         answered = False
         try:
@@ -80,7 +84,12 @@ class Child:
                 env={**os.environ, **dict.fromkeys(THREADS, "1")},
                 start_new_session=True,  # an interrupt at the keyboard is not for it
             )
-            _line(self._process, START)
+            try:
+                _line(self._process, START)
+            except BrokenPipeError:
+                raise NotStarted(self._last_words()) from None
+            except TimeoutError:
+                raise NotStarted(f"no process was ready in {START:g} s") from None
         return self._process
 
     def _last_words(self) -> str:
