@@ -156,6 +156,7 @@ def workers(process):
     return [psutil.Process(p.ppid()) for p in makers]
 
 
+@pytest.mark.slow
 def test_sigkill_to_a_worker_costs_no_plant(bench):
     run = bench.start("--workers", "2", slow=0.5)
     bench.wait_for(1, run)

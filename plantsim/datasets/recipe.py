@@ -187,7 +187,7 @@ class Recipe:
     depends on neither the number of plants nor the order they are made in. Raises
     DatasetError that names the entry which is wrong and what is allowed.
 
-    >>> ps.Recipe(plants=3, species=("apple", "maize")).species[1].name
+    >>> Recipe(plants=3, species=("apple", "maize")).species[1].name
     'maize'
     """
 
