@@ -10,6 +10,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from plantsim.datasets.generate import dataset as dataset
+    from plantsim.datasets.reading import Dataset as Dataset
+    from plantsim.datasets.reading import open_dataset as open_dataset
+    from plantsim.datasets.recipe import Recipe as Recipe
     from plantsim.elastic.detachment import Detachment as Detachment
     from plantsim.elastic.detachment import detachment as detachment
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
@@ -27,6 +31,7 @@ if TYPE_CHECKING:
     from plantsim.elastic.wood import wood as wood
     from plantsim.elastic.wood import wood_names as wood_names
     from plantsim.errors import BreakageWarning as BreakageWarning
+    from plantsim.errors import DatasetError as DatasetError
     from plantsim.errors import DependencyError as DependencyError
     from plantsim.errors import EstimateError as EstimateError
     from plantsim.errors import FileError as FileError
@@ -95,6 +100,9 @@ __version__ = "0.1.0"
 
 _HOME = {
     "plantsim.elastic.detachment": ("Detachment", "detachment"),
+    "plantsim.datasets.generate": ("dataset",),
+    "plantsim.datasets.reading": ("Dataset", "open_dataset"),
+    "plantsim.datasets.recipe": ("Recipe",),
     "plantsim.elastic.equilibrium": ("Equilibrium",),
     "plantsim.elastic.files": ("write_state", "write_states"),
     "plantsim.elastic.loads": ("force", "hang", "hold", "move", "traction"),
@@ -105,6 +113,7 @@ _HOME = {
     "plantsim.elastic.wood": ("wood", "wood_names"),
     "plantsim.errors": (
         "BreakageWarning",
+        "DatasetError",
         "DependencyError",
         "EstimateError",
         "FileError",

@@ -29,6 +29,7 @@ EXTRAS = {
     "io": ("h5py", "trimesh"),
     "fast": ("pypardiso", "manifold3d", "mmgpy", "pytetwild"),
     "docs": ("mkdocs-material", "mkdocstrings"),
+    "scale": ("distributed", "h5py"),
 }
 
 

@@ -36,6 +36,10 @@ class EstimateError(PlantsimError, ValueError):
     """Observations or options from which nothing can be estimated."""
 
 
+class DatasetError(PlantsimError, ValueError):
+    """A recipe that cannot be followed, or a data set that could not be finished."""
+
+
 class DependencyError(PlantsimError, ImportError):
     """An optional package or a system library that is not installed."""
 

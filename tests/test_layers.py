@@ -9,14 +9,14 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = """errors arrays paths cards plant mesh solid solve elastic touch estimation view
-doctor demo cli""".split()
+datasets doctor demo cli""".split()
 HOMES = {
     "gmsh": {"solid/gmsh_model.py"},
     "meshio": {"mesh/files.py"},
     "pyamg": {"solve/multigrid.py"},
     "skfem": {"elastic/stiffness.py"},
     "cvxpy": {"estimation/force_balance.py"},
-    "h5py": {"estimation/files.py"},
+    "h5py": {"estimation/files.py", "datasets/store.py"},
     "pyvista": {"view/figures.py"},
     "trimesh": {"mesh/surfaces.py"},
     "viser": {"view/app.py"},
@@ -26,6 +26,8 @@ HOMES = {
     "mmgpy": {"solid/remesh.py"},
     "pytetwild": {"solid/wild.py"},
     "vtkmodules": {"view/visibility.py"},
+    "dask": {"datasets/cluster.py"},
+    "distributed": {"datasets/cluster.py"},
 }
 FILES = sorted((ROOT / "plantsim").rglob("*.py"))
 
@@ -91,7 +93,7 @@ def test_import_is_light():
     code = (
         "import sys, plantsim; heavy = set(sys.modules) & set("
         "'gmsh meshio pyamg skfem cvxpy h5py pyvista vtk viser typer matplotlib '"
-        "'trimesh'.split()); "
+        "'trimesh distributed'.split()); "
         "assert not heavy, heavy; assert 'weber_penn' in dir(plantsim)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from plantsim.mesh.tetmesh import TetMesh
-from plantsim.view.skeletons import _figure, _saved
+from plantsim.view.skeletons import blank_figure, saved
 
 BINS = np.linspace(0, 1, 41)
 
@@ -17,7 +17,7 @@ def figure_quality(mesh: TetMesh, out: str | os.PathLike[str] | None = None) -> 
     With `out` it writes a PNG and returns its path; else it returns a matplotlib Figure.
     Raises DependencyError where matplotlib is not installed.
     """
-    figure = _figure(6.4, 4.0)
+    figure = blank_figure(6.4, 4.0)
     axes = figure.add_axes((0.13, 0.15, 0.83, 0.72))
     worst, middle = float(mesh.quality.min()), float(np.median(mesh.quality))
     axes.hist(mesh.quality, BINS, color="#8a6d4d", edgecolor="white", linewidth=0.5)
@@ -40,4 +40,4 @@ def figure_quality(mesh: TetMesh, out: str | os.PathLike[str] | None = None) -> 
     )
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-    return figure if out is None else _saved(figure, out)
+    return figure if out is None else saved(figure, out)

@@ -25,14 +25,14 @@ def figure_skeleton(
     With `out` it writes a PNG and returns its path; else it returns a matplotlib Figure.
     Raises DependencyError where matplotlib is not installed.
     """
-    figure = _figure(6.4, 7.2)
+    figure = blank_figure(6.4, 7.2)
     axes = figure.add_axes((0.12, 0.08, 0.84, 0.84))
     _draw(axes, skeleton)
     axes.set_xlabel("m")
     axes.set_ylabel("m")
     words = repr(skeleton).split(";")[0].replace("Skeleton(", "")
     axes.set_title(title or words, fontsize=9)
-    return figure if out is None else _saved(figure, out)
+    return figure if out is None else saved(figure, out)
 
 
 def contact_sheet(
@@ -43,7 +43,7 @@ def contact_sheet(
 ) -> Path:
     """Draw named skeletons, each to its own scale, to a PNG; return its path."""
     rows = -(-len(skeletons) // columns)
-    figure = _figure(3.1 * columns, 3.5 * rows)
+    figure = blank_figure(3.1 * columns, 3.5 * rows)
     for i, (name, skeleton) in enumerate(skeletons):
         axes = figure.add_subplot(rows, columns, i + 1)
         _draw(axes, skeleton)
@@ -52,10 +52,11 @@ def contact_sheet(
         )
         axes.tick_params(labelsize=7)
     figure.tight_layout()
-    return _saved(figure, out)
+    return saved(figure, out)
 
 
-def _figure(width: float, height: float) -> Any:
+def blank_figure(width: float, height: float) -> Any:
+    """Return a white matplotlib figure, inches; DependencyError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import (  # noqa: PLC0415  an extra
             FigureCanvasAgg,
@@ -70,7 +71,8 @@ def _figure(width: float, height: float) -> Any:
     return figure
 
 
-def _saved(figure: Any, out: str | os.PathLike[str]) -> Path:
+def saved(figure: Any, out: str | os.PathLike[str]) -> Path:
+    """Write a figure to a PNG, whole or not at all; return its path."""
     path = Path(out)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=130, format="png")

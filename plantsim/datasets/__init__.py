@@ -1,0 +1,1 @@
+"""Data sets: many plants with their touches, made on one machine or many."""
