@@ -2,6 +2,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 import plantsim as ps
 from plantsim.elastic.analytic import cantilever_tip
@@ -76,16 +77,18 @@ def test_union_labels_are_the_limbs(both):
     assert share["union"] == pytest.approx(share["occ"], rel=0.08)
     mesh = meshes["union"]
     centre = mesh.points[mesh.tets[:, :4]].mean(axis=1)
+    corner = mesh.points[mesh.tets[:, :4].ravel()]
     for i, tube in enumerate(solid.tubes):
         u = np.linspace(0.5, 1, 30)
         axis = tube.axis(u)
         d = np.linalg.norm(centre[:, None] - axis[None], axis=2)
         inside = (d < 0.8 * tube.radius(u)).any(axis=1)
+        # tets with all corners clear of every other limb
         others = [t for t in solid.tubes if t is not tube]
         v = np.linspace(0, 1, 200)
         for other in others:
-            far = np.linalg.norm(centre[:, None] - other.axis(v)[None], axis=2)
-            inside &= (far > 1.3 * other.radius(v)).all(axis=1)
+            far = cdist(corner, other.axis(v)) > 1.2 * other.radius(v)
+            inside &= far.all(axis=1).reshape(-1, 4).all(axis=1)
         assert inside.sum() > 5
         assert (mesh.region[inside] == i).all()
 
