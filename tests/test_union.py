@@ -119,8 +119,9 @@ def test_without_the_extra_the_pip_line_is_given(monkeypatch):
 
 
 @pytest.mark.parametrize("kernel", ["occ", "union"])
-def test_ftetwild_is_the_last_rung_of_both_ladders(kernel, monkeypatch):
+def test_ftetwild_is_the_last_rung_of_both_ladders(kernel, monkeypatch, tmp_path):
     pytest.importorskip("pytetwild")
+    monkeypatch.chdir(tmp_path)
     from plantsim.solid import gmsh_model
 
     def broken(*_):
@@ -132,6 +133,7 @@ def test_ftetwild_is_the_last_rung_of_both_ladders(kernel, monkeypatch):
     assert mesh.report is not None
     notes = mesh.report["attempts"]
     assert notes[-1]["algorithm"] == "fTetWild"
+    assert not list(tmp_path.iterdir())
     assert all("broken for the test" in note["failure"] for note in notes[:-1])
     assert mesh.volume == pytest.approx(solid.volume, rel=0.05)
     assert np.abs(mesh.points[mesh.sets["base"], 2]).max() < 1e-12
