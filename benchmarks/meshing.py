@@ -14,10 +14,12 @@ start at 5000; none of them was used while tuning (those were 0 to 1010).
 """
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import resource
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -118,7 +120,9 @@ def raw_surface(skeleton: ps.Skeleton) -> tuple[np.ndarray, np.ndarray]:
 def wild(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     import pytetwild
 
-    return pytetwild.tetrahedralize(points, faces.astype(np.int32), num_threads=1)
+    # it leaves a file in the current folder
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        return pytetwild.tetrahedralize(points, faces.astype(np.int32), num_threads=1)
 
 
 def tetgen(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +146,7 @@ def peers(log: Log, limbs: int, count: int) -> None:
         name = f"random tree, {limbs} limbs"
         for kernel in ("occ", "union"):
             log.add(("peers", name, seed, kernel), lambda p=plant, k=kernel: ours(p, k))
-        for mesher, act in (("fTetWild", wild), ("TetGen", tetgen), ("gmsh", gmsh)):
+        for mesher, act in (("TetGen", tetgen), ("gmsh", gmsh), ("fTetWild", wild)):
             key = ("peers", name, seed, mesher)
             log.add(key, lambda p=plant, a=act: theirs(p, a))
 

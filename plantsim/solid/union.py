@@ -241,10 +241,10 @@ def _check_skin(skin: Skin, genus: int) -> None:
 
 
 def limbs(solid: Solid, skin: Skin, points: Array, tets: Array) -> Array:
-    """Return the limb of every tet (m, 4): the one whose surface all its corners are on.
+    """Return the limb of every tet (m, 4): the one whose surface its corners are on.
 
-    The corners on a joint are on two. Where more than one limb is left, or none, or a
-    corner is inside, it is the nearest limb in radii.
+    At least three corners have to be on a surface, and those at a joint are on two. Where
+    that does not leave one limb, it is the nearest in radii.
     """
     on = np.full((len(points), 3), -1)
     vertex, limb = skin.pairs
@@ -254,7 +254,7 @@ def limbs(solid: Solid, skin: Skin, points: Array, tets: Array) -> Array:
     inside = on[:, 0] < 0
     corner = np.where(inside[tets], -1, tets)
     start = tets[np.arange(len(tets)), corner.argmax(axis=1)]  # a corner on the surface
-    shared = on[start] >= 0
+    shared = (on[start] >= 0) & ((corner >= 0).sum(axis=1) >= 3)[:, None]
     for column in corner.T:
         same = (on[column][:, :, None] == on[start][:, None]).any(axis=1)
         shared &= same | (column < 0)[:, None]

@@ -1,6 +1,8 @@
 """The one door to pytetwild (fTetWild): slow, and hardly ever fails; the last rung."""
 
+import contextlib
 import importlib.util
+import tempfile
 from typing import Any
 
 import numpy as np
@@ -36,13 +38,15 @@ def fill(solid: Solid, around: int, grow: float) -> tuple[Array, Array]:
     diagonal = float(np.linalg.norm(np.ptp(surface, axis=0)))
     off = SLACK * min(float(t.radii.min()) for t in solid.tubes)
     try:
-        x, tets = pytetwild.tetrahedralize(
-            surface,
-            np.concatenate(faces).astype(np.int32),
-            epsilon=off / diagonal,
-            num_threads=1,
-            quiet=True,
-        )
+        # it leaves __tracked_surface.stl in the current folder
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            x, tets = pytetwild.tetrahedralize(
+                surface,
+                np.concatenate(faces).astype(np.int32),
+                epsilon=off / diagonal,
+                num_threads=1,
+                quiet=True,
+            )
     except RuntimeError as why:
         raise MeshError(f"fTetWild: {why}") from None
     if not len(tets):
