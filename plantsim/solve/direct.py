@@ -4,7 +4,6 @@ import importlib
 import importlib.util
 import weakref
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -71,7 +70,7 @@ class DirectFactor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
 
-    @cached_property
+    @property
     def definite(self) -> bool:
         """Whether K is positive definite, by the signs of its pivots (Sylvester)."""
         if isinstance(self.lu, _Pardiso):
