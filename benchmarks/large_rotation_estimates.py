@@ -41,7 +41,8 @@ def errors(depth: float) -> dict[tuple[str, str], dict[str, float] | str]:
 
 def main() -> None:
     print(
-        "| depth | kinematics | rows | limb 0 | limb 1 | limb 2 |\n|---|---|---|---|---|---|"
+        "| depth | kinematics | rows | limb 0 | limb 1 | limb 2 |\n"
+        "|---|---|---|---|---|---|"
     )
     for depth in (0.001, 0.01, 0.05, 0.15):
         for (kinematics, rows), limbs in errors(depth).items():

@@ -240,6 +240,7 @@ def test_what_cannot_be_carried_is_said():
     with pytest.warns(UserWarning, match="stopped at"):
         state = model.solve(ps.move(tip, (0, 0, -40.0)))
     assert 0 <= state.stats.fraction < 1
+    assert "stopped at" in repr(state)
     assert state.stats.residual <= 1e-8
     goal = state.stats.fraction * -40.0
     assert state.displacement[tip][0, 2] == pytest.approx(goal)

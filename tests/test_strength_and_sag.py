@@ -23,8 +23,8 @@ def test_the_margin_is_that_of_a_beam(rod, kinematics):
     state = model.solve(ps.force(tip_of(rod), (load, 0, 0)))
     fibre = load * 0.6 * 0.015 / (np.pi * 0.015**4 / 4)
     (margin,) = state.margin.values()
-    # the clamped tets, where the stress is greatest, are left out
-    assert strength / fibre < margin < 1.35 * strength / fibre
+    # stresses at the corners of long tets come out up to 10 % too high: the safe side
+    assert 0.88 < margin / (strength / fibre) < 1.05
 
 
 def test_a_push_that_would_break_a_limb_warns(rod):
@@ -66,7 +66,7 @@ def test_the_unloaded_plant_sags_to_the_shape_seen(kinematics):
     mesh = ps.tetrahedralize(ps.sweep(ps.straight(0.6, 0.008), tips="flat"), 1.2)
     turned = mesh.points @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]).T
     mesh = ps.TetMesh(turned, mesh.tets, mesh.region, dict(mesh.sets))
-    model = ps.ElasticModel(mesh, ps.Material(4e8, 0.3, 900), kinematics=kinematics)
+    model = ps.ElasticModel(mesh, ps.Material(1e8, 0.3, 900), kinematics=kinematics)
     sagged = model.settled()
     assert np.abs(sagged.displacement).max() > 0.03
     free = model.unloaded()

@@ -2,57 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from plantsim.arrays import Array
+from plantsim.elastic.corotational import Turned
 
 if TYPE_CHECKING:
     from plantsim.elastic.model import ElasticModel
-
-
-class Deformed(Protocol):
-    """Energy, strain, stress, forces and tangent under given displacements."""
-
-    @property
-    def energy(self) -> float:
-        """Strain energy [J]."""
-        ...
-
-    @property
-    def gradient(self) -> Array:
-        """Mean displacement gradient of each tet, (m, 3, 3)."""
-        ...
-
-    @property
-    def strain(self) -> Array:
-        """Mean strain of each tet, (m, 3, 3)."""
-        ...
-
-    @property
-    def stress(self) -> Array:
-        """Mean stress of each tet, (m, 3, 3) [Pa]."""
-        ...
-
-    @property
-    def tet_forces(self) -> Array:
-        """Nodal forces of each tet, (m, c, 3) [N]."""
-        ...
-
-    @property
-    def forces(self) -> Array:
-        """Nodal forces, (n, 3) [N]."""
-        ...
-
-    def unit_forces(self) -> tuple[Array, Array]:
-        """Return nodal forces (m, c, 3) of each tet for mu = 1, for lam = 1."""
-        ...
-
-    def tangent(self, *, positive: bool = False) -> csr_array:
-        """Return the derivative of the forces, (3n, 3n) [N/m]."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,3 +73,6 @@ class Small:
     def tangent(self, *, positive: bool = False) -> csr_array:
         """Return K, which is positive wherever the mesh is held."""
         return self.model.stiffness
+
+
+Deformed = Small | Turned

@@ -7,7 +7,7 @@ from plantsim.errors import ModelError
 
 @dataclass(frozen=True)
 class Detachment:
-    """A pull and a turn, each of which alone parts fruit and limb at the abscission layer."""
+    """A pull and a turn, each of which alone parts a fruit from its limb."""
 
     force: float  # [N], along the stalk
     torque: float  # [N m], about the abscission layer

@@ -157,6 +157,12 @@ class Equilibrium:
             else f"over {np.degrees(LINEAR_LIMIT):.0f}, do not trust linear theory "
             f"({FOUND_OFF})"
         )
+        if self.model.kinematics != "linear":
+            by = f"Newton in {s.iterations} iterations"
+            verdict = "corotational"
+            carried = getattr(s, "fraction", 1.0)
+            if carried < 1:
+                verdict += f", stopped at {carried:.3g} of the load"
         return (
             f"Equilibrium({s.unknowns:,} unknowns, {by}, {s.seconds:.2g} s; largest "
             f"motion {1000 * length[far]:.3g} mm at limb "

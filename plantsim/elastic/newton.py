@@ -265,24 +265,26 @@ class _Task:
     ) -> Near:
         """Return the tangent with a factor: of its own, or of an old tangent near it."""
         exact = None if positive else deformed.tangent()
-        for share in (0.0, BLEND, 1.0)[2 if positive else 0 :]:
-            safe = share == 1
-            K = exact if share == 0 else deformed.tangent(positive=True)
+        if exact is not None and old is not None:
+            inner: Any = self.model.pattern.condense(exact, self.free, self.free)
+            self.near = Near(self.free, exact, inner.tocsr(), old.factor, False)
+            return self.near
+        # where the exact one is not positive: first with a little of the positive one
+        for share in (1.0,) if exact is None else (0.0, BLEND, 1.0):
+            K = deformed.tangent(positive=True) if share or exact is None else exact
             if exact is not None and 0 < share < 1:
                 K = exact + share * (K - exact)
-            inner: Any = self.model.pattern.condense(K, self.free, self.free)
-            if old is not None and share == 0:
-                self.near = Near(self.free, K, inner.tocsr(), old.factor, False)
-                return self.near
+            inner = self.model.pattern.condense(K, self.free, self.free)
             try:
                 factor = self._factored(inner)
             except SolverError:
-                if safe:
+                if share == 1:
                     raise
                 continue
-            if safe or factor.definite:
+            self.near = Near(self.free, K, inner.tocsr(), factor, True)
+            if factor.definite:
                 break
-        self.near = Near(self.free, K, inner.tocsr(), factor, True)
+        assert self.near is not None
         return self.near
 
     def _factored(self, inner: Any) -> Factor:

@@ -17,6 +17,7 @@ def rotations(F: Array) -> Array:
     """
     R = np.ascontiguousarray(F.transpose(1, 2, 0))
     hard = np.zeros(F.shape[0], dtype=bool)
+    change = np.zeros_like(R)
     for step in range(STEPS):
         C, det = _cofactors(R)
         if step == 0:

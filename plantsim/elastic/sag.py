@@ -30,7 +30,7 @@ def unloaded(
         raise ModelError("unloaded: moved vertices are no load. Give forces and gravity.")
     shape, mesh = model.mesh.points, model.mesh
     rest = shape.copy()
-    state, trail = None, []
+    state, trail, off = None, [], np.inf
     for _ in range(TURNS):
         new = _at(model, rest)
         start = state

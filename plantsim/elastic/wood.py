@@ -28,7 +28,7 @@ def wood(name: str, *, poisson: float = POISSON) -> Material:
     Values and sources stand in wood.toml, next to this file; a living limb of juvenile wood
     is often softer, by a third and more. Raises MaterialError for a name not known.
 
-    >>> wood("apple").strength / 1e6
+    >>> float(wood("apple").strength) / 1e6
     51.0
     """
     found = _table().get(name.lower().replace(" ", "_"))
