@@ -1,12 +1,16 @@
 """The command line: thin; every command calls a function that Python users call too."""
 
+import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 from rich.console import Console
+from rich.status import Status
 from rich.table import Table
 
 import plantsim as ps
@@ -105,15 +109,36 @@ def grow(
 
 @app.command()
 def mesh(
-    source: Annotated[Path, typer.Argument(help=".geo, .step, .brep, .msh, .vtu or .npz")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A skeleton (.json, .swc, .csv), geometry (.geo, .step, .brep, .iges) or "
+            "mesh (.msh, .vtu, .npz)."
+        ),
+    ],
     out: Annotated[
         Path | None, typer.Option(help="Write the mesh here: .msh, .vtu or .npz.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the mesh here: .png")] = None,
+    quality: Annotated[
+        Path | None, typer.Option(help="Draw the histogram of its quality here: .png")
     ] = None,
     order: Annotated[
         int | None, typer.Option(help="1 or 2; geometry: 2, mesh: as it is.")
     ] = None,
     size: Annotated[
-        float | None, typer.Option(help="Scales a geometry's mesh sizes.")
+        float | None,
+        typer.Option(help="Skeleton: edge over radius. Geometry: scales its mesh sizes."),
+    ] = None,
+    tips: Annotated[
+        str, typer.Option(help="Of a skeleton's limbs: round, flat.")
+    ] = "round",
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A parameter of a .geo script: L=2.0; may be repeated."),
+    ] = None,
+    timeout: Annotated[
+        float | None, typer.Option(help="Longest that meshing may take [s].")
     ] = None,
     drop_unused: Annotated[
         bool, typer.Option("--drop-unused", help="Drop vertices that are in no tet.")
@@ -122,28 +147,77 @@ def mesh(
         bool, typer.Option("--trust", help="Run a script even if it could run programs.")
     ] = False,
 ) -> None:
-    """Mesh a geometry file, or read a mesh; check it, describe it, write it.
+    """Mesh a skeleton or a geometry file, or read a mesh; check, describe, write, draw it.
 
-    Example: plantsim mesh plant.geo --order 2 --out plant.msh
+    Example: plantsim mesh apple.json --out apple.msh --picture apple.png
     """
-    if out is not None:
-        writable(out, ".msh", ".vtu", ".npz")
-    if source.suffix.lower() in (".msh", ".vtu", ".npz"):
-        if size is not None:
-            raise ModelError(f"--size {size}: {source} is a mesh already. Leave it out.")
+    # before the work, not after it
+    for path, suffixes in (
+        (out, (".msh", ".vtu", ".npz")),
+        (picture, (".png",)),
+        (quality, (".png",)),
+    ):
+        if path is not None:
+            writable(path, *suffixes)
+    kind = source.suffix.lower()
+    if kind in (".msh", ".vtu", ".npz"):
+        if size is not None or set_:
+            raise ModelError(f"{source} is a mesh already. Leave --size and --set out.")
         found = ps.read_mesh(source, drop_unused=drop_unused)
         found = found if order is None else found.with_order(order)
     else:
-        found = ps.tetrahedralize(
-            source, size, order=2 if order is None else order, trust=trust
-        )
+        geometry: Path | ps.Solid = source
+        options: dict[str, Any] = {"order": order or 2, "timeout": timeout}
+        if kind in (".json", ".swc", ".csv"):
+            geometry = ps.sweep(ps.read_skeleton(source), tips=tips)  # type: ignore[arg-type]
+        else:
+            options |= {"trust": trust, "parameters": _parameters(set_ or [])}
+        with console.status("meshing ...") as status, _steps(status):
+            found = ps.tetrahedralize(geometry, size, **options)
     typer.echo(repr(found))
-    for i, name in enumerate(found.region_names):
-        typer.echo(f"  region {name}: {int((found.region == i).sum()):,} tets")
+    typer.echo(str(found.size_report()))
     for name, ids in found.sets.items():
-        typer.echo(f"  set {name}: {len(ids):,} vertices")
+        if name.removeprefix("limb ") not in found.region_names:
+            typer.echo(f"  set {name}: {len(ids):,} vertices")
     if out is not None:
         typer.echo(f"wrote {ps.write_mesh(found, out)}")
+    if picture is not None:
+        typer.echo(f"wrote {found.plot(picture)}")
+    if quality is not None:
+        typer.echo(f"wrote {ps.figure_quality(found, quality)}")
+
+
+@contextmanager
+def _steps(status: Status) -> Iterator[None]:
+    """Show what the mesher says it does."""
+
+    class Tell(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            status.update(f"meshing: {record.getMessage()}")
+
+    logger, tell = logging.getLogger("plantsim.solid"), Tell(logging.INFO)
+    before = logger.level
+    logger.addHandler(tell)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(tell)
+        logger.setLevel(before)
+
+
+def _parameters(given: list[str]) -> dict[str, float | str]:
+    """Return NAME=VALUE options as a dict, numbers where they are numbers."""
+    out: dict[str, float | str] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ModelError(f"--set {text!r}: give NAME=VALUE, as L=2.0.")
+        try:
+            out[name.strip()] = float(value)
+        except ValueError:
+            out[name.strip()] = value
+    return out
 
 
 @app.command()

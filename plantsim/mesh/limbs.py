@@ -157,7 +157,7 @@ class LimbSize:
     tets: int
     length: float  # [m], from where it leaves its parent
     radius: float  # [m], of the round rod of its volume
-    edge: float  # [m], mean of the edges on its surface
+    edge: float  # [m], mean of the edges on its surface; within, of all
     worst: float  # gamma
 
     @property
@@ -192,7 +192,7 @@ def size_report(mesh: TetMesh) -> SizeReport:
     ).mean(axis=1)
     owner = region[mesh.surface_tets]
     rows: Sequence[LimbSize] = [
-        _limb_size(mesh, i, region == i, span[owner == i]) for i in np.unique(region)
+        _limb_size(mesh, int(i), region == i, span[owner == i]) for i in np.unique(region)
     ]
     return SizeReport(rows)
 
@@ -200,11 +200,14 @@ def size_report(mesh: TetMesh) -> SizeReport:
 def _limb_size(mesh: TetMesh, index: int, mine: Array, span: Array) -> LimbSize:
     length = Along(mesh, index).length
     volume = float(mesh.volumes[mine].sum())
+    if not len(span):
+        ends = mesh.points[mesh.tets[mine][:, EDGES]]
+        span = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
     return LimbSize(
         mesh.region_names[index],
         int(mine.sum()),
         length,
         float(np.sqrt(volume / (np.pi * max(length, 1e-300)))),
-        float(span.mean()) if len(span) else float("nan"),
+        float(span.mean()),
         float(mesh.quality[mine].min()),
     )

@@ -304,7 +304,10 @@ class TetMesh:
         return replace(self, region=np.asarray(region), region_names=names)
 
     def __repr__(self) -> str:
-        sets = ", ".join(f"{k} {len(v)}" for k, v in self.sets.items()) or "none"
+        limbs = {f"limb {name}" for name in self.region_names} & set(self.sets)
+        words = [f"{k} {len(v)}" for k, v in self.sets.items() if k not in limbs]
+        words += [f"{len(limbs)} limbs"] if limbs else []
+        sets = ", ".join(words) or "none"
         return (
             f"TetMesh(order {self.order}, {len(self.points):,} vertices, "
             f"{len(self.tets):,} tets, {len(self.region_names)} regions, sets: {sets}; "
