@@ -30,7 +30,10 @@ def vertices_at(mesh: TetMesh, limb: int | str, fraction: float) -> Array:
         raise MeshError(f"fraction is {fraction}; give 0 (base) to 1 (tip).")
     index = limb_index(mesh, limb)
     along = Along(mesh, index)
-    outer = np.isin(along.ids, mesh.surface_vertices)
+    mine = np.asarray(mesh.region)[mesh.surface_tets] == index
+    outer = np.isin(along.ids, mesh.surface[mine])
+    if not outer.any():
+        raise MeshError(f"limb {limb!r} has no face on the surface. Name one that has.")
     ids, s = along.ids[outer], along.s[outer]
     away = np.abs(s - fraction * along.length)
     near = away <= max(0.25 * along.step, away.min() + 0.05 * along.step)
