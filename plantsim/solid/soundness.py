@@ -55,7 +55,7 @@ def check_sound(solid: Solid, mesh: TetMesh) -> int:
             )
     off = mesh.volume / solid.volume - 1
     if abs(off) > VOLUME:
-        mine = np.bincount(mesh.region, mesh.volumes, len(solid.tubes))
+        mine = np.bincount(np.asarray(mesh.region), mesh.volumes, len(solid.tubes))
         wanted = np.array([t.volume for t in solid.tubes]) - solid.buried
         limb = solid.tubes[int(np.abs(mine - wanted).argmax())].name
         raise MeshError(
