@@ -136,7 +136,7 @@ def test_no_stray_output(capfd, tmp_path, monkeypatch):
         ps.tetrahedralize(ps.sweep(ps.fork()), 1.5, order=1)
     assert not gmsh_model.gmsh.isInitialized()
     path = tmp_path / "bad.geo"
-    path.write_text('SetFactory("OpenCASCADE"); Box(1) = {0,0,0,1,1,1}; nonsense here {;')
+    path.write_text('SetFactory("OpenCASCADE"); Box(1) = {0,0,0,1,1,1};\nnonsense here;\n')
     with pytest.raises(ps.MeshError):
         ps.tetrahedralize(path)
     assert capfd.readouterr() == ("", "")
