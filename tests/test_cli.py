@@ -11,6 +11,7 @@ import pytest
 import plantsim as ps
 from plantsim import doctor
 from plantsim.view import probe
+from plantsim.view.probe import why_not_drawn
 
 
 def run(*args, cwd=None):
@@ -47,6 +48,29 @@ def test_mesh_describes_and_converts(beam, tmp_path):
     assert "order 2" in done.stdout
     assert "set tip:" in done.stdout
     assert ps.read_mesh(tmp_path / "beam.vtu").order == 2
+
+
+def test_mesh_of_a_skeleton_and_of_a_script(tmp_path):
+    skeleton = ps.write_skeleton(ps.fork(), tmp_path / "fork.json")
+    pictures = [] if why_not_drawn() else ["--picture", tmp_path / "a.png"]
+    quality = tmp_path / "q.png"
+    done = run(
+        *("mesh", skeleton, "--size", 1.5, "--tips", "flat", "--order", 1),
+        *("--quality", quality, "--out", tmp_path / "a.msh", *pictures),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "edge/radius" in done.stdout
+    assert "set tips:" in done.stdout
+    for path in (quality, *pictures[1:]):
+        assert path.read_bytes().startswith(b"\x89PNG")
+    assert ps.read_mesh(tmp_path / "a.msh").region_names == ("0", "1", "2")
+    script = tmp_path / "box.geo"
+    script.write_text('SetFactory("OpenCASCADE"); L = 1; Box(1) = {0, 0, 0, 1, 1, L};\n')
+    done = run("mesh", script, "--set", "L=2", "--order", 1)
+    assert "2 m^3" in done.stdout, done.stderr
+    refused("mesh", script, "--set", "L", says="NAME=VALUE")
+    refused("mesh", script, "--set", "M=1", says="no parameter 'M'")
+    refused("mesh", tmp_path / "a.msh", "--set", "L=1", says="is a mesh already")
 
 
 def test_push_tells_the_force_and_writes_the_state(beam, tmp_path):

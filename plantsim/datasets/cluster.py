@@ -27,7 +27,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     Local processes are spawned, one thread each, and end with this one, however it ends.
     """
     try:
-        import dask  # noqa: PLC0415  an extra
+        import dask.config  # noqa: PLC0415  an extra
         from distributed import Client, LocalCluster  # noqa: PLC0415
     except ImportError:
         raise DependencyError(

@@ -30,7 +30,10 @@ def vertices_at(mesh: TetMesh, limb: int | str, fraction: float) -> Array:
         raise MeshError(f"fraction is {fraction}; give 0 (base) to 1 (tip).")
     index = limb_index(mesh, limb)
     along = Along(mesh, index)
-    outer = np.isin(along.ids, mesh.surface_vertices)
+    mine = np.asarray(mesh.region)[mesh.surface_tets] == index
+    outer = np.isin(along.ids, mesh.surface[mine])
+    if not outer.any():
+        raise MeshError(f"limb {limb!r} has no face on the surface. Name one that has.")
     ids, s = along.ids[outer], along.s[outer]
     away = np.abs(s - fraction * along.length)
     near = away <= max(0.25 * along.step, away.min() + 0.05 * along.step)
@@ -157,7 +160,7 @@ class LimbSize:
     tets: int
     length: float  # [m], from where it leaves its parent
     radius: float  # [m], of the round rod of its volume
-    edge: float  # [m], mean of the edges on its surface
+    edge: float  # [m], mean of the edges on its surface; within, of all
     worst: float  # gamma
 
     @property
@@ -192,7 +195,7 @@ def size_report(mesh: TetMesh) -> SizeReport:
     ).mean(axis=1)
     owner = region[mesh.surface_tets]
     rows: Sequence[LimbSize] = [
-        _limb_size(mesh, i, region == i, span[owner == i]) for i in np.unique(region)
+        _limb_size(mesh, int(i), region == i, span[owner == i]) for i in np.unique(region)
     ]
     return SizeReport(rows)
 
@@ -200,11 +203,14 @@ def size_report(mesh: TetMesh) -> SizeReport:
 def _limb_size(mesh: TetMesh, index: int, mine: Array, span: Array) -> LimbSize:
     length = Along(mesh, index).length
     volume = float(mesh.volumes[mine].sum())
+    if not len(span):
+        ends = mesh.points[mesh.tets[mine][:, EDGES]]
+        span = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
     return LimbSize(
         mesh.region_names[index],
         int(mine.sum()),
         length,
         float(np.sqrt(volume / (np.pi * max(length, 1e-300)))),
-        float(span.mean()) if len(span) else float("nan"),
+        float(span.mean()),
         float(mesh.quality[mine].min()),
     )

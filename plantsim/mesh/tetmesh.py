@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from plantsim.arrays import Array, few, frozen, vertex_ids
 from plantsim.cards import card
 from plantsim.errors import MeshError
-from plantsim.mesh.tets import EDGES, INNER, gamma, jacobians
+from plantsim.mesh.shapes import EDGES, INNER, gamma, jacobians
 
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # outward normals
 # gmsh numbers the last two middles of a tet the other way round than VTK: its own inverse
@@ -326,7 +326,10 @@ class TetMesh:
     _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
-        sets = ", ".join(f"{k} {len(v)}" for k, v in self.sets.items()) or "none"
+        limbs = {f"limb {name}" for name in self.region_names} & set(self.sets)
+        words = [f"{k} {len(v)}" for k, v in self.sets.items() if k not in limbs]
+        words += [f"{len(limbs)} limbs"] if limbs else []
+        sets = ", ".join(words) or "none"
         return (
             f"TetMesh(order {self.order}, {len(self.points):,} vertices, "
             f"{len(self.tets):,} tets, {len(self.region_names)} regions, sets: {sets}; "

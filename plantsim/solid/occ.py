@@ -149,7 +149,7 @@ def _turned_away(lofts: list[list[Ring]], around: int) -> list[list[Ring]]:
         for other in others:
             for (c, r, _, _), (end, r1, _, _) in itertools.pairwise(other):
                 way = end - c
-                s = np.clip((x - c) @ way / (way @ way), 0, 1)
+                s: Array = np.clip((x - c) @ way / (way @ way), 0, 1)
                 off = np.linalg.norm(x - c - s[:, :, None] * way, axis=2)
                 clear = np.minimum(clear, (off / (r + s * (r1 - r))).min(axis=1))
         # a seam that goes into another limb is as good as any that does

@@ -32,6 +32,7 @@ def figure_quality(mesh: TetMesh, out: str | os.PathLike[str] | None = None) -> 
         fontsize=9,
     )
     axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1.15 * axes.get_ylim()[1])  # room for the word above the bars
     axes.set_xlabel("gamma (1: regular, 0: flat)")
     axes.set_ylabel("tets")
     axes.set_title(

@@ -1,4 +1,4 @@
-"""Geometry of single tets: quality and Jacobians; in VTK's order of nodes."""
+"""Shapes of single tets: quality of the corners, Jacobians of curved tets."""
 
 import numpy as np
 
