@@ -11,10 +11,8 @@ moved otherwise, ten other vertices; then the gradient of a scalar misfit of the
 material just given. Ours and NGSolve's by an adjoint, torch-fem's by its autograd; felupe
 and sfepy have none. A package that is not installed is left out. sfepy and torch-fem make
 K within each solve, so their set-up is without it: compare set-up and solve together.
-
-Each package is used as its manual says, with what it can keep: NGSolve keeps its sparse
-Cholesky factor of the moved set. torch-fem goes by its direct solver, which its default, at
-this size conjugate gradients, is far behind.
+NGSolve keeps its factor of the moved set; torch-fem goes by its direct solver, since its
+default at this size, conjugate gradients, takes far longer.
 """
 
 import argparse
