@@ -353,7 +353,7 @@ def main(
     one, two = (t.ids.copy() for t in touches)
     down, aside = np.array([0, 0, -0.01]), np.array([0.01, 0, 0.005])
     goal = 1.1 * np.array(probe.solve(ps.move(one, down)).displacement)
-    lame = np.repeat([[MU], [LAM]], len(tets), axis=1)
+    lame, case = np.repeat([[MU], [LAM]], len(tets), axis=1), (one, down, goal)
     times: dict[str, dict[str, list[float]]] = {}
     apart: dict[str, dict[str, float]] = {}
     known: dict[str, np.ndarray] = {}
@@ -374,12 +374,12 @@ def main(
                         "ten other vertices": lambda p=package: p.other(two, down),
                     }
                     if hasattr(package, "gradient"):
-                        acts["gradient, factor kept"] = lambda p=package: p.gradient(
-                            one, down, goal
-                        )
-                        acts["gradient, new material"] = lambda p=package: p.afresh(
-                            lame, one, down, goal
-                        )
+                        acts |= {
+                            "gradient, factor kept": lambda p=package: p.gradient(*case),
+                            "gradient, new material": lambda p=package: p.afresh(
+                                lame, *case
+                            ),
+                        }
                     took, answers = rehearse(package, acts)
             except (ImportError, AttributeError, TypeError, ValueError) as why:
                 missing[name] = f"{type(why).__name__}: {why}"

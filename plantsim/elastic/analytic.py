@@ -4,6 +4,8 @@ Timoshenko's theory: bending and shear, small rotations, a clamp that holds the 
 plane.
 """
 
+from typing import Any
+
 import numpy as np
 from scipy.integrate import quad
 from scipy.optimize import brentq
@@ -178,7 +180,8 @@ def timoshenko_frequencies(
         low = 0.98 * high
         while characteristic(low) * characteristic(1.001 * high) > 0:
             low *= 0.98
-        out.append(float(brentq(characteristic, low, 1.001 * high)))
+        root: Any = brentq(characteristic, low, 1.001 * high)
+        out.append(float(root))
     return np.array(out) / (2 * np.pi * unit)
 
 
