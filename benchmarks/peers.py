@@ -150,7 +150,7 @@ class TorchFem:
         solid.constraints, solid.displacements = held, goal
         return solid.solve(method="direct", differentiable_parameters=lame)[0]
 
-    again = other = first
+    again = other = first  # no factor is kept
 
     def afresh(
         self, lame: np.ndarray, ids: np.ndarray, d: np.ndarray, goal: np.ndarray
@@ -164,7 +164,6 @@ class TorchFem:
         return np.stack([g.numpy() for g in torch.autograd.grad(misfit, (mu, lam))])
 
     def gradient(self, ids: np.ndarray, d: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Return the same of the material at hand; no factor is kept."""
         lame = np.repeat([[MU], [LAM]], len(self.elements), axis=1)
         return self.afresh(lame, ids, d, goal)
 
