@@ -11,10 +11,8 @@ moved otherwise, ten other vertices; then the gradient of a scalar misfit of the
 material just given. Ours and NGSolve's by an adjoint, torch-fem's by its autograd; felupe
 and sfepy have none. A package that is not installed is left out. sfepy and torch-fem make
 K within each solve, so their set-up is without it: compare set-up and solve together.
-
-Each package is used as its manual says, with what it can keep: NGSolve keeps its sparse
-Cholesky factor of the moved set. torch-fem goes by its direct solver, which its default, at
-this size conjugate gradients, is far behind.
+NGSolve keeps its factor of the moved set; torch-fem goes by its direct solver, since its
+default at this size, conjugate gradients, takes far longer.
 """
 
 import argparse
@@ -152,7 +150,7 @@ class TorchFem:
         solid.constraints, solid.displacements = held, goal
         return solid.solve(method="direct", differentiable_parameters=lame)[0]
 
-    again = other = first
+    again = other = first  # no factor is kept
 
     def afresh(
         self, lame: np.ndarray, ids: np.ndarray, d: np.ndarray, goal: np.ndarray
@@ -166,7 +164,6 @@ class TorchFem:
         return np.stack([g.numpy() for g in torch.autograd.grad(misfit, (mu, lam))])
 
     def gradient(self, ids: np.ndarray, d: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Return the same of the material at hand; no factor is kept."""
         lame = np.repeat([[MU], [LAM]], len(self.elements), axis=1)
         return self.afresh(lame, ids, d, goal)
 
@@ -355,7 +352,7 @@ def main(
     one, two = (t.ids.copy() for t in touches)
     down, aside = np.array([0, 0, -0.01]), np.array([0.01, 0, 0.005])
     goal = 1.1 * np.array(probe.solve(ps.move(one, down)).displacement)
-    lame = np.repeat([[MU], [LAM]], len(tets), axis=1)
+    lame, case = np.repeat([[MU], [LAM]], len(tets), axis=1), (one, down, goal)
     times: dict[str, dict[str, list[float]]] = {}
     apart: dict[str, dict[str, float]] = {}
     known: dict[str, np.ndarray] = {}
@@ -376,12 +373,12 @@ def main(
                         "ten other vertices": lambda p=package: p.other(two, down),
                     }
                     if hasattr(package, "gradient"):
-                        acts["gradient, factor kept"] = lambda p=package: p.gradient(
-                            one, down, goal
-                        )
-                        acts["gradient, new material"] = lambda p=package: p.afresh(
-                            lame, one, down, goal
-                        )
+                        acts |= {
+                            "gradient, factor kept": lambda p=package: p.gradient(*case),
+                            "gradient, new material": lambda p=package: p.afresh(
+                                lame, *case
+                            ),
+                        }
                     took, answers = rehearse(package, acts)
             except (ImportError, AttributeError, TypeError, ValueError) as why:
                 missing[name] = f"{type(why).__name__}: {why}"

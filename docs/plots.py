@@ -10,6 +10,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import NullFormatter
 
 HERE = Path(__file__).resolve().parent
 # Okabe and Ito 2008: told apart by colour-blind eyes, and by shape besides
@@ -64,6 +65,9 @@ def lines(
             **style,
         )
     axes.set(xscale="log", yscale="log", xlabel=x)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:,g}")
+        axis.set_minor_formatter(NullFormatter())
     axes.grid(alpha=0.3, which="both", lw=0.5)
     axes.legend(frameon=False, fontsize=8)
 
@@ -72,15 +76,15 @@ def bars(axes: plt.Axes, names: list[str], values: list[float], words: list[str]
     """Draw signed values beside their names, each with what it says."""
     at = np.arange(len(names))[::-1]
     axes.barh(at, values, color=COLOURS[0], height=0.6)
-    wide = max(np.abs(values))
     for y, v, word in zip(at, values, words, strict=True):
-        axes.text(
-            v + np.copysign(0.02 * wide, v),
-            y,
+        axes.annotate(
             word,
+            (v, y),
+            (4 if v >= 0 else -4, 0),
+            textcoords="offset points",
             va="center",
-            fontsize=7,
             ha="left" if v >= 0 else "right",
+            fontsize=7,
         )
     axes.set_yticks(at, names, fontsize=7)
     axes.axvline(0, color="black", lw=0.8)
@@ -116,15 +120,12 @@ def limits() -> plt.Figure:
     """Draw errors over slenderness, and those of the manufactured solution."""
     _, slender, made = tables("Theory of beams, frames, blocks and vibrations")
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="tight")
-    flat = []
-    for r in slender:
-        cells = list(r.values())
-        for against, error in (cells[2:4], cells[4:6]):
-            flat.append({"case": f"{cells[0]}: {against}", "e": error, "s": cells[1]})
-    lines(axes[0], flat, ("case",), "s", "e")
-    axes[0].set(xlabel="length / radius", ylabel="distance from theory, %")
+    lines(axes[0], slender, ("case", "against"), "length / radius", "error")
+    axes[0].set(ylabel="distance from theory, %", ylim=(4e-3, 5))
+    axes[0].set_xticks([50, 100, 200])
     lines(axes[1], made, ("order",), "cells a side", "error in L2")
     axes[1].set_ylabel("error in L2 of a manufactured solution")
+    axes[1].set_xticks([3, 5, 8, 12, 18])
     return figure
 
 
@@ -148,7 +149,7 @@ def multigrid() -> plt.Figure:
     figure, ax = plt.subplots(figsize=(6, 3.6), layout="tight")
     lines(ax, rows, ("mesh", "order"), "unknowns", "iterations")
     ax.axhline(45, color="black", lw=0.8, ls=":")
-    ax.set(yscale="linear", ylim=(0, 50), ylabel="iterations to 1e-12")
+    ax.set(yscale="linear", ylim=(0, 50), xlim=(None, 4e6), ylabel="iterations to 1e-12")
     return figure
 
 
@@ -163,7 +164,7 @@ def packages() -> plt.Figure:
         values = [number(r[s]) for s in stages]
         ax.bar(at, values, wide, color=COLOURS[i], label=r["package"], edgecolor="white")
     ax.set_xticks(np.arange(len(stages)), [s.replace(", ", ",\n") for s in stages])
-    ax.set(yscale="log", ylabel="CPU ms, smaller is better")
+    ax.set(yscale="log", ylim=(0.2, 3000), ylabel="CPU ms, smaller is better")
     ax.tick_params(axis="x", labelsize=8)
     ax.legend(frameon=False, fontsize=8, ncols=len(rows))
     return figure

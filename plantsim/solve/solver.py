@@ -59,8 +59,8 @@ Choice = Solver | Literal["auto", "direct", "multigrid"]
 # What "auto" goes by (measured: benchmarks/solvers.py). SuperLU and multigrid take the same
 # CPU time for one solve at 439,000 unknowns of a plant; SuperLU half of it at 197,000
 DIRECT_LIMIT = 400_000
-# PARDISO takes half of multigrid's time at 439,000 and is still ahead at 847,000, in 7.7
-# GiB; with twice the memory of multigrid, it would leave the 20 GB at 2 million
+# PARDISO takes half of multigrid's time at 439,000, and 32 s in 7.7 GiB at 847,000; with
+# nearly twice the memory of multigrid, it would come near the 20 GB at 2 million
 PARDISO_LIMIT = 1_000_000
 
 
