@@ -247,8 +247,11 @@ def test_touch_and_estimate_find_the_modulus_again(beam, tmp_path):
     out = tmp_path / "found.vtu"
     done = run("estimate", beam, touches, "--young", "5e9", "--out", out)
     assert done.returncode == 0, done.stderr
-    row = next(line for line in done.stdout.splitlines() if "100%" in line)
-    assert float(row.split("│")[2]) == pytest.approx(8, rel=0.02)
+    found = json.loads(run("estimate", beam, touches, "--young", "5e9", "--json").stdout)
+    (limb,) = found["limbs"]
+    assert limb["estimate"] == pytest.approx(8, rel=0.02)
+    assert limb["low"] < limb["estimate"] < limb["high"]
+    assert 0.9 < limb["seen"] <= 1
     assert out.stat().st_size > 0
     refused("estimate", beam, touches, "--parameters", "twig", says="limb or element")
     refused("estimate", beam, beam, says=".msh suffix")

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import plantsim as ps
-from plantsim.cli import app
+from plantsim.cli.app import app
 from plantsim.datasets import store
 from plantsim.datasets.draw import drawn, limb_field, split_of
 from plantsim.datasets.recipe import Kind, Meshing, Touching, example

@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 import plantsim as ps
-from plantsim.cli import app
+from plantsim.cli.app import app
 from plantsim.plant.foliage import known
 
 approx = pytest.approx

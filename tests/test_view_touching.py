@@ -155,16 +155,18 @@ def test_surface_tets_are_behind_their_triangles(fork):
 
 
 @pytest.mark.parametrize("kinematics", ["corotational"])
-def test_other_kinematics_agree_for_small_motions(model, tip, kinematics):
-    if kinematics not in kinematics_of(model):
-        pytest.skip(f"no {kinematics} kinematics yet")
+def test_other_kinematics_agree_for_small_motions(fork, tip, kinematics):
     import dataclasses
 
+    model = ps.ElasticModel(fork.with_order(1), ps.Material(6e9, 0.3, 900.0))
+    assert kinematics in kinematics_of(model)
+    tip = tip[tip < len(model.mesh.points)]
     other = Touching(dataclasses.replace(model, kinematics=kinematics))
     same = Touching(model)
     frames = []
     for touching in (same, other):
         touching.bear(Burden(gravity=0.01))
         touching.hold(tip)
-        frames.append(touching.drag((1e-5, 0, -1e-5)))
-    assert frames[1].force == pytest.approx(frames[0].force, rel=1e-2)
+        frames.append(touching.drag((1e-5, 0, -1e-5), (0, 0, 0)))
+    apart = np.linalg.norm(frames[1].force - frames[0].force)
+    assert apart < 1e-3 * np.linalg.norm(frames[0].force)

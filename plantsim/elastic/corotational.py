@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 
 from plantsim.arrays import Array
 from plantsim.elastic.pattern import Pattern
-from plantsim.elastic.polar import rotations
+from plantsim.elastic.polar import cofactors, rotations
 from plantsim.elastic.stiffness import point_gradients
 from plantsim.mesh.tetmesh import TetMesh
 
@@ -67,7 +67,7 @@ class Points:
         m, q = self.weight.shape
         H = u[self.mesh.tets].transpose(0, 2, 1) @ self.gradient  # (m, 3, 3q)
         H = H.reshape(m, 3, q, 3).transpose(0, 2, 1, 3).reshape(-1, 3, 3)
-        return Turned(self, H + np.eye(3), mu, lam)
+        return Turned(self, H, mu, lam)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,14 @@ class Turned:
     """Deformation at every point of a mesh; k = m q points, those of a tet in a row."""
 
     points: Points
-    F: Array  # (k, 3, 3)
+    H: Array  # grad u, (k, 3, 3)
     mu: Array  # (m,) [Pa]
     lam: Array  # (m,) [Pa]
+
+    @cached_property
+    def F(self) -> Array:
+        """I + grad u, (k, 3, 3)."""
+        return self.H + np.eye(3)
 
     @cached_property
     def rotation(self) -> Array:
@@ -86,11 +91,34 @@ class Turned:
 
     @cached_property
     def stretch(self) -> Array:
-        """Biot strain S - I of each point, (k, 3, 3), in rest axes."""
-        E = self.rotation.transpose(0, 2, 1) @ self.F
-        E = (E + E.transpose(0, 2, 1)) / 2
-        E[:, [0, 1, 2], [0, 1, 2]] -= 1
-        return E
+        """Biot strain S - I of each point, (k, 3, 3), in rest axes.
+
+        As (F^T F - I) (S + I)^-1, so that small strains keep their digits.
+        """
+        turned = self.H.transpose(0, 2, 1)
+        green = self.H + turned + turned @ self.H
+        S = self.rotation.transpose(0, 2, 1) @ self.F
+        S = (S + S.transpose(0, 2, 1)) / 2 + np.eye(3)
+        inverse, det = cofactors(np.ascontiguousarray(S.transpose(1, 2, 0)))
+        E = green @ (inverse / det).transpose(2, 0, 1)
+        # where a tet is inverted S + I may have no inverse
+        lost = ~(det > 0.1)
+        if lost.any():
+            E[lost] = S[lost] - 2 * np.eye(3)
+        return (E + E.transpose(0, 2, 1)) / 2
+
+    @cached_property
+    def noise(self) -> tuple[float, float]:
+        """Size of what rounding does to the forces [N] and to the energy [J]."""
+        points = self.points
+        m, q = points.weight.shape
+        size = np.sqrt(np.einsum("kij,kij->k", self.H, self.H)).reshape(m, q)
+        stress = np.finfo(float).eps * (2 * self.mu + self.lam)[:, None] * size
+        steep = np.sqrt((points.gradient**2).reshape(m, -1, q, 3).sum(axis=(1, 3)))
+        strain = np.sqrt(np.einsum("kij,kij->k", self.stretch, self.stretch))
+        force = np.linalg.norm(stress * points.weight * steep)
+        energy = np.linalg.norm(stress * points.weight * strain.reshape(m, q))
+        return float(force), float(energy)
 
     @cached_property
     def trace(self) -> Array:
@@ -127,7 +155,7 @@ class Turned:
     @property
     def gradient(self) -> Array:
         """Mean displacement gradient of each tet, (m, 3, 3)."""
-        return self._mean(self.F) - np.eye(3)
+        return self._mean(self.H)
 
     @property
     def strain(self) -> Array:

@@ -57,6 +57,13 @@ class Small:
         """Nodal forces, (n, 3) [N]."""
         return (self.model.stiffness @ self.displacement.ravel()).reshape(-1, 3)
 
+    @property
+    def noise(self) -> tuple[float, float]:
+        """Size of what rounding does to the forces [N] and to the energy [J]."""
+        eps = float(np.finfo(float).eps)
+        size = float(np.linalg.norm(self.displacement))
+        return eps * self.model.size * size, eps * abs(self.energy)
+
     def unit_forces(self) -> tuple[Array, Array]:
         """Return nodal forces (m, c, 3) of each tet for mu = 1, for lam = 1."""
         u, tets, blocks = self.displacement, self.model.mesh.tets, self.model.blocks

@@ -19,12 +19,12 @@ def rotations(F: Array) -> Array:
     hard = np.zeros(F.shape[0], dtype=bool)
     change = np.zeros_like(R)
     for step in range(STEPS):
-        C, det = _cofactors(R)
+        C, det = cofactors(R)
         if step == 0:
             hard = det < SOUND
             if hard.any():
                 R[:, :, hard] = np.eye(3)[:, :, None]
-                C, det = _cofactors(R)
+                C, det = cofactors(R)
         new = (R + C / det) / 2
         change = np.abs(new - R)
         R = new
@@ -40,7 +40,7 @@ def rotations(F: Array) -> Array:
     return out
 
 
-def _cofactors(A: Array) -> tuple[Array, Array]:
+def cofactors(A: Array) -> tuple[Array, Array]:
     """Return the cofactors (3, 3, k) and determinants (k,) of matrices (3, 3, k)."""
     C = np.empty_like(A)
     for i in range(3):

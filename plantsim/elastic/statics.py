@@ -154,9 +154,13 @@ def _by_factor(
         rows = 3 * place[:, None] + np.arange(3)
         loads[rows, np.arange(len(ids))[:, None]] = ways
         response, more, errors = factor(loads)
-        short = goal - (x.reshape(-1, 3)[place] * ways).sum(axis=1)
-        multiplier = scipy.linalg.solve(loads.T @ response, short, assume_a="pos")
-        x = x + response @ multiplier
+        compliance = scipy.linalg.cho_factor(loads.T @ response)
+        multiplier = np.zeros(len(ids))
+        for _ in range(2):  # once more for what rounding left
+            short = goal - (x.reshape(-1, 3)[place] * ways).sum(axis=1)
+            more_force = scipy.linalg.cho_solve(compliance, short)
+            multiplier += more_force
+            x = x + response @ more_force
         np.add.at(acting.force, ids, multiplier[:, None] * ways)
         iterations, worst = max(iterations, more), max(worst, float(errors.max()))
     u[free] = x.reshape(-1, 3)

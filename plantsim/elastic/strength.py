@@ -27,7 +27,7 @@ def fibre_stress(state: "Equilibrium") -> Array:
     turned = model.points.at(state.displacement, mu, lam)
     q = model.points.weight.shape[1]
     if model.kinematics == "linear":
-        H = turned.F - np.eye(3)
+        H = turned.H
         E = (H + H.transpose(0, 2, 1)) / 2
     else:
         E = turned.stretch
