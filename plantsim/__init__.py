@@ -87,6 +87,7 @@ if TYPE_CHECKING:
     from plantsim.view.figures import figure_deformation as figure_deformation
     from plantsim.view.figures import figure_gallery as figure_gallery
     from plantsim.view.figures import figure_material as figure_material
+    from plantsim.view.figures import figure_mesh as figure_mesh
     from plantsim.view.figures import figure_posterior as figure_posterior
     from plantsim.view.plots import figure_convergence as figure_convergence
     from plantsim.view.plots import figure_ratios as figure_ratios
@@ -157,6 +158,7 @@ _HOME = {
         "figure_deformation",
         "figure_gallery",
         "figure_material",
+        "figure_mesh",
         "figure_posterior",
     ),
     "plantsim.view.plots": ("figure_convergence", "figure_ratios", "figure_table_one"),

@@ -262,11 +262,11 @@ class TetMesh:
         return size_report(self)
 
     def plot(self, out: str | os.PathLike[str]) -> Path:
-        """Draw the mesh, coloured by limb, to a PNG; return its path."""
+        """Draw the mesh, limbs in colours, to a PNG; return its path."""
         # a picture is the only call that goes up, through this one door
-        from plantsim.view.figures import figure_material  # noqa: PLC0415
+        from plantsim.view.figures import figure_mesh  # noqa: PLC0415
 
-        return figure_material(self, np.asarray(self.region), out, label="limb")
+        return figure_mesh(self, out)
 
     @property
     def curved(self) -> bool:

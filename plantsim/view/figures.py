@@ -66,6 +66,11 @@ def figure_material(
     return _pictures([(_material(mesh, field, label, cmap, marks), "")], out)
 
 
+def figure_mesh(mesh: TetMesh, out: str | os.PathLike[str]) -> Path:
+    """Draw a mesh with every limb in a colour of its own to a PNG; return its path."""
+    return _pictures([(_limbs(mesh), "")], out)
+
+
 def figure_posterior(
     mesh: TetMesh,
     mean: ArrayLike,
