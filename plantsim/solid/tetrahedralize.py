@@ -48,10 +48,14 @@ def tetrahedralize(
 ) -> TetMesh:
     """Return a tetrahedral mesh of a Solid, or of a .geo, .step, .stp, .brep or .iges file.
 
-    For a Solid: `size` is the edge length over the local radius (default 0.9). Order-2 tets
-    are curved onto the tubes. Regions are the limbs, tets sorted by them; the sets are
-    "base" (the foot), "tips" and the surface of each limb, "limb NAME". `mesh.report`
-    lists the attempts, what was repaired, and the seconds.
+    Files: .geo, .step, .stp, .brep, .iges, and closed surfaces: .stl, .obj, .ply.
+
+    For a Solid: `size` is the edge length over the local radius (default 0.9). Kernel
+    "union" takes less time than "occ" and needs the extra `fast`; whichever fails gives way
+    to fTetWild where pytetwild is installed. Order-2 tets are curved onto the tubes.
+    Regions are the limbs, tets sorted by them; the sets are "base" (the foot), "tips" and
+    the surface of each limb, "limb NAME". `mesh.report` lists the attempts, what was
+    repaired, and the seconds.
 
     For a file: `size` scales the sizes that the file sets (default 1); its physical volumes
     become regions and its other physical groups vertex sets. `parameters` takes the place
