@@ -46,7 +46,7 @@ def tetrahedralize(
     timeout: float | None = None,
     parameters: Mapping[str, float | str] | None = None,
 ) -> TetMesh:
-    """Return a tetrahedral mesh of a Solid, or of a .geo, .step, .stp, .brep or .iges file.
+    """Return a tetrahedral mesh of a Solid, or of a file.
 
     Files: .geo, .step, .stp, .brep, .iges, and closed surfaces: .stl, .obj, .ply.
 
