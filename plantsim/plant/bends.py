@@ -114,7 +114,8 @@ def rebuilt(skeleton: S, points: Array, radius: Array, first: Array) -> S:
     A child starts at the point of its parent's new axis that is nearest to where it
     started; it moves there with all that it carries.
     """
-    axes = splines(points, radius, first)
+    same = points is skeleton.points and radius is skeleton.radius
+    axes = skeleton.splines if same else splines(points, radius, first)
     size = axes.last - axes.first + 1
     limb = np.repeat(np.arange(len(size)), size)
     joints = skeleton.joints

@@ -47,13 +47,17 @@ def capsules(skeleton: "Skeleton", zone: Array) -> Capsules:
     cell = np.repeat(i, parts)
     k = np.arange(len(cell)) - np.repeat(np.cumsum(parts) - parts, parts)
     n = np.repeat(parts, parts)
-    t0, t1 = k / n, (k + 1) / n
+    a, thick = axes.at(cell, k / n), axes.thickness(cell, k / n)
+    # a piece ends where the next begins, the last of an interval at its node
+    b, after = np.roll(a, -1, axis=0), np.roll(thick, -1)
+    end = np.cumsum(parts) - 1
+    b[end], after[end] = axes.points[i + 1], axes.radius[i + 1]
     return Capsules(
-        axes.at(cell, t0),
-        axes.at(cell, t1),
-        np.maximum(axes.thickness(cell, t0), axes.thickness(cell, t1)),
+        a,
+        b,
+        np.maximum(thick, after),
         skeleton.limb[cell],
-        axes.arc[cell] + (t0 + t1) / 2 * np.repeat(h, parts),
+        axes.arc[cell] + (k + 0.5) / n * np.repeat(h, parts),
     )
 
 

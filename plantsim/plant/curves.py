@@ -37,6 +37,13 @@ class Splines:
         slope = _slopes(radius, back, h, self.first, self.last)
         return replace(self, radius=radius, slope=slope)
 
+    def picked(self, nodes: Array, first: Array) -> "Splines":
+        """Return those of whole limbs: a mask of their nodes, and their new first nodes."""
+        last = np.append(first[1:], np.count_nonzero(nodes)) - 1
+        keep = (self.points, self.radius), (self.arc, self.bend, self.slope)
+        some, more = (tuple(v[nodes] for v in values) for values in keep)
+        return Splines(*some, first, last, *more)
+
     @cached_property
     def cubic(self) -> Array:
         """Coefficients of 1, t, t^2, t^3 of the points on each interval, (n, 4, 3)."""

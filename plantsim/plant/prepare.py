@@ -56,7 +56,8 @@ def prepared(
     clashes = before - len(out.first)
     if len(out.first) > max_limbs:
         out = pruned(out, 0.0, max_limbs, None)
-    if (worst_bend(out.splines) >= EASY + 0.1).any():  # radii rose at a fork
+    # else radii have only sunk since bends were eased
+    if forks == "area" and (worst_bend(out.splines) >= EASY + 0.1).any():
         out = smoothed(out, EASY)
     total = len(skeleton.first) if known is None else known
     gone = total - len(out.first)

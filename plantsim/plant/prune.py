@@ -136,4 +136,16 @@ def without(skeleton: S, drop: Array) -> S:
     kept = (~drop).tolist()
     for i, p in enumerate(skeleton.carrier.tolist()):
         kept[i] = kept[i] and (p < 0 or kept[p])
-    return picked(skeleton, np.array(kept))
+    limbs = np.array(kept)
+    out = picked(skeleton, limbs)
+    if "joints" in skeleton.__dict__ and "splines" in skeleton.__dict__:
+        # those that stay run as before
+        nodes = limbs[skeleton.limb]
+        new = np.cumsum(nodes) - 1
+        old, stay = skeleton.joints, limbs[skeleton.joints.limb]
+        joints = old._replace(**{k: v[stay] for k, v in old._asdict().items()})
+        out.__dict__["splines"] = skeleton.splines.picked(nodes, out.first)
+        out.__dict__["joints"] = joints._replace(
+            limb=(np.cumsum(limbs) - 1)[joints.limb], interval=new[joints.interval]
+        )
+    return out

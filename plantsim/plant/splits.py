@@ -55,16 +55,24 @@ class Splits:
 
     def walk(self, row: int, start: int, chance: float, factor: float) -> None:
         """Split a stem along its segments; error diffusion carries fractions on."""
-        m, share = self.model, self.share[row]
-        gain = factor if m.published else factor * (1 - start / self.segments)
-        for s in range(start + 1, self.segments + 1):
+        m, share, last = self.model, self.share[row], self.segments
+        gain = factor if m.published else factor * (1 - start / last)
+        quick = m.published and self.level > 0
+        s = start
+        while s < last:
+            s += 1
+            if quick:  # straight on to the next segment that splits
+                idle = self._idle(last - s)
+                share[s - 1 : s - 1 + idle] = [gain] * idle
+                self.error += idle * self.rate
+                s += idle
             clones = 0
             base = self.based and s == self.first
             if base:
                 clones = int(m.base_splits)
             elif (
                 self.rate > 0
-                and s < self.segments
+                and s < last
                 and (self.level > 0 or s > self.first)
                 and (m.published or self.rng.random() <= chance)
             ):
@@ -77,10 +85,16 @@ class Splits:
             share[s - 1] = gain
             if clones and m.published:  # together they carry nBranches children
                 gain = factor = gain / (clones + 1)
-            if clones and s < self.segments:
+            if clones and s < last:
                 for j in range(clones):
                     clone = self.add(s, row, j, -clones if base else clones)
                     self.walk(clone, s, chance, factor)
+
+    def _idle(self, most: int) -> int:
+        """Return how many of the next `most` segments split nowhere."""
+        if self.rate <= 0:
+            return most
+        return min(most, max(0, int((1 - 1e-9 - self.error) / self.rate)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,34 +121,35 @@ def turned_by_split(
 ) -> tuple[Frames, Frames, Array]:
     """Return the frames of splitting stems and of their clones, and the tilts [degrees].
 
-    `now`: frames of all stems; `rows` split and `clones` begin; `of`: the stem that each
-    splits from; `noise` (4, all) uniform in -1 .. 1.
+    `now`: frames of all stems; `rows`, sorted, split and `clones` begin; `of`: the stem
+    that each splits from; `noise` (4, all) uniform in -1 .. 1.
     """
-    origin = of[clones]
-    number, count = split.number[clones], split.count
-    base = count[clones] < 0
-    many = np.zeros(len(noise[0]), dtype=int)
-    many[origin] = np.abs(count[clones])
+    origin = np.searchsorted(rows, of[clones])  # among those that split
+    number, count = split.number[clones], split.count[clones]
+    base = count < 0
+    many = np.zeros(len(rows), dtype=int)
+    many[origin] = np.abs(count)
     direct = m.split_angle[n] < 0
-    lean = declination(now.z)
-    tilt = np.maximum(0.0, m.split_angle[n] + noise[0] * m.split_angle_v[n] - lean)
-    spread = 20 + 0.75 * (30 + np.abs(lean - 90) * ((noise[1] + 1) / 2) ** 2)
+    stems, own = now.picked(rows), noise[:, rows]
+    lean = declination(stems.z)
+    tilt = np.maximum(0.0, m.split_angle[n] + own[0] * m.split_angle_v[n] - lean)
+    spread = 20 + 0.75 * (30 + np.abs(lean - 90) * ((own[1] + 1) / 2) ** 2)
     if direct:  # in the plane of the stem, by the program
         tilt = np.zeros_like(tilt)
-        spread = np.abs(m.split_angle[n]) + noise[0] * m.split_angle_v[n]
+        spread = np.abs(m.split_angle[n]) + own[0] * m.split_angle_v[n]
     share = 1.0 if m.published else 0.5  # the program halves tilt and spread
     side = np.where(number % 2 == 0, -1.0, 1.0)
     if m.published:  # one clone goes to either side by chance
-        side = side * np.where(noise[2, origin] < 0, -1.0, 1.0)
+        side = side * np.where(own[2, origin] < 0, -1.0, 1.0)
     turn = side * spread[origin] * (share if not direct else 0.5)
     ring = (number + 1) * 360 / (many[origin] + 1) + noise[3, clones] * m.split_angle_v[n]
     turn = np.where(base, ring, turn)
-    clone = about_x(now.picked(origin), np.radians(share * tilt[origin]))
-    old = about_x(now.picked(rows), np.radians(share * tilt[rows]))
+    old = about_x(stems, np.radians(share * tilt))
+    clone = old.picked(origin)
     alone = np.zeros(len(many), dtype=bool)
     alone[origin[~base]] = True
     alone &= many == 1
-    back = np.where(alone[rows], spread[rows] / 2, 0.0)
+    back = np.where(alone, spread / 2, 0.0)
     if direct:
         return (
             about_y(old, np.radians(back)),

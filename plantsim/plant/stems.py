@@ -191,39 +191,31 @@ def _directions(
     now = Frames(np.zeros((total, 3, 3)))
     now.put(np.arange(len(frames.z)), frames)
     give_back = np.zeros(total)  # degrees a segment that undo the splits
-    begun = stems.start == 0
-    out.put((begun, 0), now.picked(begun))
+    out.put((slice(None), 0), now)  # what has not begun is void and stays so when turned
     for s in range(1, segments):
         clones = np.flatnonzero(stems.start == s)
-        splitting = np.zeros(total, dtype=bool)
+        angle = m.curve[n] / segments
+        if m.curve_back[n]:
+            half = m.curve[n] if s < segments / 2 else m.curve_back[n]
+            angle = half / (segments / 2)
+        turn = angle + noise[0, :, s] * m.curve_v[n] / segments - give_back
+        f = now
+        if m.bend_v[n]:
+            f = about_y(f, -np.radians(noise[1, :, s] * m.bend_v[n] / segments))
+        f = about_x(f, np.radians(turn))
         if split is not None and len(clones):
             origin = stems.origin[clones]
-            splitting[origin] = True
-            rows = np.flatnonzero(splitting)
-            turned = turned_by_split(
+            rows = np.unique(origin)
+            old, new, tilt = turned_by_split(
                 m, n, now, rows, clones, split, noise[:, :, s], stems.origin
             )
-            tilt = turned[2]
-            give_back[rows] = tilt[rows] / (segments + 1 - s)
+            give_back[rows] = tilt / (segments + 1 - s)
             give_back[clones] = give_back[origin]
-            now.put(rows, turned[0])
-            now.put(clones, turned[1])
-        plain = begun & ~splitting
-        if plain.any():
-            angle = m.curve[n] / segments
-            if m.curve_back[n]:
-                half = m.curve[n] if s < segments / 2 else m.curve_back[n]
-                angle = half / (segments / 2)
-            pick = slice(None) if plain.all() else plain
-            turn = angle + noise[0, pick, s] * m.curve_v[n] / segments - give_back[pick]
-            f = now.picked(pick)
-            if m.bend_v[n]:
-                f = about_y(f, -np.radians(noise[1, pick, s] * m.bend_v[n] / segments))
-            now.put(pick, about_x(f, np.radians(turn)))
-        pick = slice(None) if begun.all() else begun
-        now.put(pick, _attracted(m, stems.level, segments, now.picked(pick)))
-        begun = begun | (stems.start == s)
-        out.put((begun, s), now.picked(begun))
+            f.put(rows, old)
+        now = _attracted(m, stems.level, segments, f)
+        if split is not None and len(clones):
+            now.put(clones, new)
+        out.put((slice(None), s), now)
     return out
 
 
