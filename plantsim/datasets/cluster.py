@@ -6,6 +6,7 @@ import socket
 import threading
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -17,6 +18,7 @@ from plantsim.errors import DatasetError, DependencyError
 CONNECT = 15.0  # s to wait for a scheduler
 PATIENCE = 60.0  # s to wait for its first worker
 CLIENT: dict[str, Any] = {"set_as_default": False}  # leave the user's own client alone
+GONE = "the Dask scheduler is gone. Start it again"
 AHEAD = 3  # plants under way or waiting, a thread
 
 
@@ -158,7 +160,10 @@ def make_all(
     pending = as_completed(first, loop=client.loop)
     for future in pending:
         if future.status == "finished":
-            answer = future.result()
+            try:
+                answer = future.result()
+            except (OSError, CancelledError):  # between its end and its fetching
+                raise DatasetError(GONE) from None
             if "halt" in answer:
                 raise DatasetError(f"{answer['halt']}. Make room or mend that")
             tell(answer["row"])
@@ -166,7 +171,7 @@ def make_all(
             why = future.exception()  # of the workers that had it, not of the plant
             lost.append(" ".join(f"{type(why).__name__}: {why}".split())[:200])
         else:
-            raise DatasetError("the Dask scheduler is gone. Start it again")
+            raise DatasetError(GONE)
         future.release()
         pending.update([submit(p) for p in islice(plants, 1)])
     return lost
