@@ -125,11 +125,15 @@ def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
     until = np.searchsorted(left[order], right[order], side="right")
     one, k = _counted(until - np.arange(len(box)) - 1)
     two = one + 1 + k
+    for axis, cell in ((y, cell_y), (z, cell_z)):
+        down, up, here = low[box, axis], high[box, axis], begin[box, axis]
+        meet = (down[one] <= up[two]) & (down[two] <= up[one])
+        one, two = one[meet], two[meet]
+        meet = cell[one] == np.maximum(here[one], here[two])
+        one, two = one[meet], two[meet]
     i, j = box[one], box[two]
     # neighbours on one limb always touch
     meet = (c.limb[i] != c.limb[j]) | (np.abs(i - j) > 2)
-    meet &= cell_y[one] == np.maximum(begin[i, y], begin[j, y])
-    meet &= cell_z[one] == np.maximum(begin[i, z], begin[j, z])
     if only is not None:
         meet &= only[i] | only[j]
     i, j = i[meet], j[meet]
@@ -137,8 +141,6 @@ def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
     ball = np.linalg.norm(c.b - c.a, axis=1) / 2 + pad[:, 0]
     d = centre[i] - centre[j]
     meet = np.einsum("ij,ij->i", d, d) < (ball[i] + ball[j]) ** 2
-    for axis in (y, z):
-        meet &= (low[i, axis] <= high[j, axis]) & (low[j, axis] <= high[i, axis])
     return i[meet], j[meet]
 
 

@@ -42,7 +42,7 @@ def _turned(f: Frames, i: int, j: int, angle: Array) -> Frames:
     """Turn the axes i and j in their plane, i towards j."""
     c, s = np.cos(angle)[..., None], np.sin(angle)[..., None]
     u, v = f.axes[..., i, :], f.axes[..., j, :]
-    out = f.axes.copy()
+    out = f.axes.copy(order="K")
     out[..., i, :] = c * u + s * v
     out[..., j, :] = c * v - s * u
     return Frames(out)

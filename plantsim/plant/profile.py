@@ -19,15 +19,10 @@ def shape_ratio(shape: int, q: Array | float, m: WeberPenn | None = None) -> Arr
         c = np.clip(q, 0, 1)
         # as printed the lower part jumps at the peak unless that is at 1/2
         below = high if not m.published else max(m.prune_width_peak, 1e-9)
-        return np.where(
-            inside,
-            np.where(
-                c < high,
-                (c / high) ** m.prune_power_high,
-                ((1 - c) / below) ** m.prune_power_low,
-            ),
-            0.0,
-        )
+        out = np.asarray(((1 - c) / below) ** m.prune_power_low)
+        upper = c < high
+        out[upper] = (c[upper] / high) ** m.prune_power_high
+        return np.where(inside, out, 0.0)
     if shape in (5, 7):
         flame = np.where(q <= 0.7, q / 0.7, (1 - q) / 0.3)
         return flame if shape == 5 else 0.5 + 0.5 * flame

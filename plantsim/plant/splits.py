@@ -62,7 +62,9 @@ class Splits:
         while s < last:
             s += 1
             if quick:  # straight on to the next segment that splits
-                idle = self._idle(last - s)
+                idle = last - s
+                if self.rate > 0:
+                    idle = int(min(idle, (1 - 1e-9 - self.error) / self.rate))
                 share[s - 1 : s - 1 + idle] = [gain] * idle
                 self.error += idle * self.rate
                 s += idle
@@ -89,12 +91,6 @@ class Splits:
                 for j in range(clones):
                     clone = self.add(s, row, j, -clones if base else clones)
                     self.walk(clone, s, chance, factor)
-
-    def _idle(self, most: int) -> int:
-        """Return how many of the next `most` segments split nowhere."""
-        if self.rate <= 0:
-            return most
-        return min(most, max(0, int((1 - 1e-9 - self.error) / self.rate)))
 
 
 @dataclass(frozen=True, eq=False)

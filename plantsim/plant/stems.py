@@ -88,7 +88,7 @@ class Stems:
         a = 1 - b
         p, q = self.nodes[row, s], self.nodes[row, s + 1]
         u, v = self.bend[row, s], self.bend[row, s + 1]
-        points = a * p + b * q + (a**3 - a) / 6 * u + (b**3 - b) / 6 * v
+        points = a * p + b * q + (a * a * a - a) / 6 * u + (b * b * b - b) / 6 * v
         way = q - p - (3 * a * a - 1) / 6 * u + (3 * b * b - 1) / 6 * v
         size = np.sqrt(np.einsum("...i,...i->...", way, way))
         return points, way / np.maximum(size, 1e-12)[..., None]
@@ -187,8 +187,9 @@ def _directions(
 ) -> Frames:
     """Return the frame of every segment, (rows, segments, 3) each of x, y, z."""
     n, segments, total = min(stems.level, LEVELS - 1), stems.segments, len(stems.start)
-    out = Frames(np.zeros((total, segments, 3, 3)))
-    now = Frames(np.zeros((total, 3, 3)))
+    # the stems last in memory: long inner loops
+    out = Frames(np.moveaxis(np.zeros((segments, 3, 3, total)), -1, 0))
+    now = Frames(np.moveaxis(np.zeros((3, 3, total)), -1, 0))
     now.put(np.arange(len(frames.z)), frames)
     give_back = np.zeros(total)  # degrees a segment that undo the splits
     out.put((slice(None), 0), now)  # what has not begun is void and stays so when turned
@@ -247,13 +248,12 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
     while open_.any():
         i = np.flatnonzero(open_)
         sizes = factor[i, None] * trial
-        points = (
-            start[own[i], None, None]
-            + path[i, None] * (sizes * stems.whole[own[i], None])[..., None, None]
-        )
+        long = (sizes * stems.whole[own[i], None])[..., None]
+        foot, way = start[own[i]], path[i]
+        x, y, z = (foot[:, k, None, None] + way[:, None, :, k] * long for k in range(3))
         tall = stems.height[own[i], None, None]
-        q = (tall - points[..., 2]) / (tall * (1 - m.bare[0]))
-        out = np.hypot(points[..., 0], points[..., 1]) / tall
+        q = (tall - z) / (tall * (1 - m.bare[0]))
+        out = np.hypot(x, y) / tall
         good = (out < m.prune_width * shape_ratio(8, q, m)).all(axis=-1)
         good |= sizes < least
         fits = good.any(axis=1)
@@ -264,9 +264,9 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
     factor[factor < least] = 0.0
     length = 1 - m.prune_ratio + m.prune_ratio * factor
     # clones have the fitted length of the stem that they split from
-    root = np.arange(len(stems.origin))
-    for i in np.flatnonzero(stems.origin >= 0):
-        root[i] = root[stems.origin[i]]
+    root = list(range(len(stems.origin)))
+    for i, up in enumerate(stems.origin.tolist()):
+        root[i] = i if up < 0 else root[up]
     scale = length[root]
     keep = scale > 1e-3
     power = 1.0 if stems.level == 0 else m.ratio_power

@@ -101,13 +101,15 @@ def _thick(levels: list[Stems], wanted: _Wanted) -> list[Stems]:
     for stems in levels:
         keep = stems.size >= floor
         keep &= below[stems.parent] if stems.level else True
-        for i in np.flatnonzero(stems.origin >= 0):
-            keep[i] &= keep[stems.origin[i]]
+        stands = keep.tolist()
+        for i, up in enumerate(stems.origin.tolist()):
+            stands[i] = stands[i] and (up < 0 or stands[up])
+        keep = np.array(stands)
         if not keep.any():
             break
         new = np.append(np.cumsum(keep) - 1, -1)
-        up = np.append(np.cumsum(below) - 1, -1) if stems.level else new
-        out.append(picked_stems(stems, keep, new, up))
+        lower = np.append(np.cumsum(below) - 1, -1) if stems.level else new
+        out.append(picked_stems(stems, keep, new, lower))
         below = keep
     return out
 
