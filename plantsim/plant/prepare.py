@@ -45,6 +45,7 @@ def prepared(
         drop[trunks] = True
         drop[tall] = False
         out = without(out, drop).with_note(f"1 of {len(trunks)} trunks kept, the longest")
+    out = _begun(out, min_radius)
     out = pruned(out, min_radius, int(SPARE * max_limbs) + 2, None)
     out = rebuilt(out, out.points, out.radius, out.first)
     out = opened(smoothed(out, EASY))
@@ -72,6 +73,17 @@ def prepared(
         note=skeleton.note,
     )
     return out.with_note(note) if gone or deeper else out
+
+
+def _begun(skeleton: S, least: float) -> S:
+    """Return the skeleton with no limb thin at its very start alone, as beads are."""
+    first = skeleton.first
+    low = skeleton.radius[first] < np.minimum(least, skeleton.radius[first + 1])
+    if not low.any():
+        return skeleton
+    radius = skeleton.radius.copy()
+    radius[first[low]] = radius[first[low] + 1]
+    return skeleton.trusted(radius=radius)
 
 
 def opened(skeleton: S, least: float = NARROW) -> S:
