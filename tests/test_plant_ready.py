@@ -278,7 +278,9 @@ def test_same_seed_same_skeleton_in_another_process():
 
 def test_a_beaded_trunk_is_cut_at_its_first_bead():
     """Beads (taper 3) have no radius at their very start."""
-    model = ps.species("quaking_aspen").with_(scale=1.0, ratio=0.03, taper=(3.0,) * 4)
+    model = ps.species("quaking_aspen").with_(
+        scale=1.0, scale_v=0.0, ratio=0.03, taper=(3.0,) * 4
+    )
     plant = ps.weber_penn(model, rng=0, levels=1)
     assert plant.check() == ()
     assert plant.radius.min() >= 5e-4
