@@ -122,8 +122,23 @@ def _hdf5(path: Path) -> tuple[int, dict[str, Array]]:
         for i in range(int(file.attrs["observations"])):
             for name in UNITS:
                 if name in file[str(i)]:
-                    data[f"{i}/{name}"] = file[str(i)][name][()]
+                    data[f"{i}/{name}"] = _plain(file, f"{i}/{name}")
     return version, data
+
+
+def _plain(file: Any, name: str) -> Array:
+    """Return an array that lies in the file itself and holds numbers."""
+    h5py = _h5py()
+    group, _, leaf = name.partition("/")
+    links = file.get(group, getlink=True), file[group].get(leaf, getlink=True)
+    if not all(isinstance(link, h5py.HardLink) for link in links):
+        raise KeyError(f"{name} leads elsewhere")
+    found = file[group][leaf]
+    plan = found.id.get_create_plist()
+    away = plan.get_external_count() or plan.get_layout() == h5py.h5d.VIRTUAL
+    if away or found.dtype.kind not in "biuf":
+        raise KeyError(f"{name} is no plain array")
+    return found[()]
 
 
 def _version(text: str) -> int:

@@ -40,9 +40,15 @@ class Splines:
     def picked(self, nodes: Array, first: Array) -> "Splines":
         """Return those of whole limbs: a mask of their nodes, and their new first nodes."""
         last = np.append(first[1:], np.count_nonzero(nodes)) - 1
-        keep = (self.points, self.radius), (self.arc, self.bend, self.slope)
-        some, more = (tuple(v[nodes] for v in values) for values in keep)
-        return Splines(*some, first, last, *more)
+        return Splines(
+            self.points[nodes],
+            self.radius[nodes],
+            first,
+            last,
+            self.arc[nodes],
+            self.bend[nodes],
+            self.slope[nodes],
+        )
 
     @cached_property
     def cubic(self) -> Array:

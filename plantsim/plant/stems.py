@@ -204,6 +204,7 @@ def _directions(
         if m.bend_v[n]:
             f = about_y(f, -np.radians(noise[1, :, s] * m.bend_v[n] / segments))
         f = about_x(f, np.radians(turn))
+        new: Frames | None = None
         if split is not None and len(clones):
             origin = stems.origin[clones]
             rows = np.unique(origin)
@@ -214,7 +215,7 @@ def _directions(
             give_back[clones] = give_back[origin]
             f.put(rows, old)
         now = _attracted(m, stems.level, segments, f)
-        if split is not None and len(clones):
+        if new is not None:
             now.put(clones, new)
         out.put((slice(None), s), now)
     return out
