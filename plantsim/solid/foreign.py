@@ -4,13 +4,9 @@ The child may write no file, has no input, and is ended after a time limit; a cr
 or OCC there is one sentence here. It sends back an .npz of plain arrays through a pipe.
 """
 
-import io
 import json
-import os
 import resource
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +18,7 @@ from plantsim.arrays import Array
 from plantsim.errors import FileError, MeshError
 from plantsim.mesh.closed import SURFACES, closed_surface, read_surface
 from plantsim.mesh.tetmesh import TetMesh
-from plantsim.solid.apart import MARK, end_with, quiet_output
+from plantsim.solid.child import asked, packed, serve, sets_of
 from plantsim.solid.geo_script import CAD, check_opened
 from plantsim.solid.parameters import with_parameters
 from plantsim.solid.quality import repair
@@ -79,9 +75,8 @@ def open_geometry(
         request = {"path": str(opened), "size": size, "order": order, "trust": trust}
         data = _child(path, request, timeout)
     names = tuple(str(n) for n in data["names"])
-    sets = {k.removeprefix("set:"): v for k, v in data.items() if k.startswith("set:")}
     others = json.loads(str(data["others"]))
-    return data["points"], data["tets"], data.get("region"), names, sets, others
+    return data["points"], data["tets"], data.get("region"), names, sets_of(data), others
 
 
 def _filled(path: Path, order: int, timeout: float) -> Opened:
@@ -108,38 +103,20 @@ def _ground(points: Array, faces: Array) -> dict[str, Array]:
 
 
 def _child(path: Path, request: dict[str, Any], timeout: float) -> dict[str, Array]:
-    try:
-        done = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "plantsim.solid.foreign",
-                json.dumps(request),
-                str(os.getpid()),
-            ],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=timeout,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise MeshError(
-            f"{path}: gmsh was not done after {timeout:.0f} s and was ended. Simplify the "
-            "geometry, or give more: timeout=..."
-        ) from None
-    if done.returncode or not done.stdout:
-        said = done.stderr.decode(errors="replace")
-        if MARK in said:
-            raise MeshError(f"{path}: {said.rpartition(MARK)[2].strip()}")
-        raise MeshError(
-            f"{path}: gmsh crashed on it (exit {done.returncode}). Check the geometry in "
-            "gmsh itself; if it opens there, report this."
-        )
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as z:
-        return {name: z[name] for name in z.files}
+    return asked(
+        "plantsim.solid.foreign",
+        request,
+        b"",
+        timeout,
+        what=f"{path}: ",
+        late=f"{path}: gmsh was not done after {timeout:.0f} s and was ended. Simplify the "
+        "geometry, or give more: timeout=...",
+        crashed=f"{path}: gmsh crashed on it (exit {{exit}}). Check the geometry in "
+        "gmsh itself; if it opens there, report this.",
+    )
 
 
-def _work(request: dict[str, Any]) -> bytes:
+def _work(request: dict[str, Any], _: bytes) -> bytes:
     """Open, mesh and pack; in the child."""
     from plantsim.solid import gmsh_model  # noqa: PLC0415  gmsh is loaded in the child alone
 
@@ -149,9 +126,7 @@ def _work(request: dict[str, Any]) -> bytes:
     if "surface" in request:
         with np.load(request["surface"], allow_pickle=False) as z:
             points, tets = _fill(gmsh_model, z["points"], z["faces"])
-        packed = io.BytesIO()
-        np.savez(packed, points=points, tets=tets)
-        return packed.getvalue()
+        return packed({"points": points, "tets": tets})
     with gmsh_model.session(General__NoPopup=1):
         gmsh_model.open_file(request["path"])
         gmsh_model.mesh_opened(request["size"], request["order"])
@@ -165,10 +140,7 @@ def _work(request: dict[str, Any]) -> bytes:
     }
     if region is not None:
         out["region"] = region
-    out |= {f"set:{name}": ids for name, ids in sets.items()}
-    packed = io.BytesIO()
-    np.savez(packed, **out)
-    return packed.getvalue()
+    return packed(out, sets)
 
 
 def _fill(gmsh_model: Any, points: Array, faces: Array) -> tuple[Array, Array]:
@@ -182,18 +154,5 @@ def _fill(gmsh_model: Any, points: Array, faces: Array) -> tuple[Array, Array]:
     return repair(x, tets, held)[0], tets
 
 
-def main() -> None:
-    """Serve one request: arrays to standard output, the kernels' chatter to nowhere."""
-    end_with(int(sys.argv[2]))
-    result = quiet_output()
-    try:
-        packed = _work(json.loads(sys.argv[1]))
-    except Exception as why:  # whatever it is, the parent tells it in a sentence
-        sys.stderr.write(f"\n{MARK}{' '.join(str(why).split())}\n")
-        sys.exit(3)
-    with result:
-        result.write(packed)
-
-
 if __name__ == "__main__":
-    main()
+    serve(_work)
