@@ -52,11 +52,15 @@ class BreakageWarning(UserWarning):
     """A state in which a limb would break."""
 
 
-def needs(package: str, extra: str) -> Any:
-    """Return an optional package; DependencyError, with the pip line, where absent."""
+def needs(package: str, extra: str, instead: str = "") -> Any:
+    """Return an optional package; DependencyError, with the pip line, where absent.
+
+    `instead`: what else to do.
+    """
     try:
         return importlib.import_module(package)
     except ImportError as why:
         raise DependencyError(
             f"{package} cannot be imported ({why}). Run: pip install 'plantsim[{extra}]'"
+            f"{f', or {instead}' if instead else ''}"
         ) from None

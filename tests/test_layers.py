@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = """errors arrays paths cards plant mesh solid solve elastic touch estimation view
-datasets doctor demo cli""".split()
+ROOMS = """errors arrays paths cards hdf5 plant mesh solid solve elastic touch estimation
+view datasets doctor demo cli""".split()
 HOMES = {
     "gmsh": {"solid/gmsh_model.py"},
     "meshio": {"mesh/files.py"},
     "pyamg": {"solve/multigrid.py"},
     "skfem": {"elastic/stiffness.py"},
     "cvxpy": {"estimation/force_balance.py"},
-    "h5py": {"estimation/files.py", "datasets/store.py"},
+    "h5py": {"hdf5.py"},
     "pyvista": {"view/figures.py"},
     "trimesh": {"mesh/surfaces.py"},
     "viser": {"view/app.py"},

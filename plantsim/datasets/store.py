@@ -1,4 +1,4 @@
-"""Plants in HDF5 files, whole or absent; read without trust. The home of h5py here.
+"""Plants in HDF5 files, whole or absent; read without trust.
 
 A file is packed in memory and written by ourselves: the same numbers give the same bytes,
 and a full disk is an OSError, not a half-written file.
@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.errors import DependencyError, FileError
+from plantsim.errors import FileError
+from plantsim.hdf5 import PLAIN, h5py, lies_in, plain_array, plain_group
 from plantsim.paths import existing, replacing
 
 FORMAT = "plantsim plant"
 SCHEMA = 1
 MOST = 2**33  # bytes that a file's arrays may unpack to
-PLAIN = "biufS"  # kinds of numbers and fixed texts; no objects, so nothing to unpickle
-FILTERS = {1, 2, 3}  # deflate, shuffle, checksum: others would load a plug-in
 COMPRESSED = 4096  # bytes from which an array is compressed
 
 
@@ -48,9 +47,8 @@ def packed(
     arrays: Mapping[str, Array], facts: Mapping[str, Any], run: Run
 ) -> tuple[bytes, str]:
     """Return the bytes of a plant's file, and the digest of all in it but `run`."""
-    h5py = _h5py()
     digest = digest_of(arrays, facts)
-    with h5py.File("plant.h5", "w", driver="core", backing_store=False) as f:
+    with h5py().File("plant.h5", "w", driver="core", backing_store=False) as f:
         f.attrs["format"], f.attrs["schema"] = np.bytes_(FORMAT), SCHEMA
         for name, value in facts.items():
             f.attrs[name] = _plain(value)
@@ -85,10 +83,9 @@ def digest_of(arrays: Mapping[str, Array], facts: Mapping[str, Any]) -> str:
 @contextmanager
 def opened(path: str | os.PathLike[str]) -> Iterator[Any]:
     """Yield an open file of a plant; FileError where it is broken or foreign."""
-    h5py = _h5py()
     file = existing(path)
     try:
-        with h5py.File(file, "r") as f:
+        with h5py().File(file, "r") as f:
             mark = f.attrs.get("format")
             if not isinstance(mark, (bytes, np.bytes_)) or mark != FORMAT.encode():
                 raise FileError(f"{file}: HDF5, but no plant of a data set. Name another.")
@@ -154,29 +151,26 @@ def names(f: Any) -> list[str]:
 
 
 def _group(f: Any, name: str) -> Any:
-    found = f[name]
-    if not isinstance(found, _h5py().Group):
-        raise FileError(f"{f.filename}: {name} is no group. {_FOREIGN}")
-    return found
+    with _told(f):
+        return plain_group(f, name)
 
 
 def _dataset(f: Any, name: str) -> Any:
     """Return a data set that lies in the file itself and holds plain values."""
-    h5py = _h5py()
-    group, _, leaf = name.partition("/")
-    if not (_hard(f, group) and _hard(_group(f, group), leaf)):
-        raise FileError(f"{f.filename}: {name} leads elsewhere. {_FOREIGN}")
-    found = f[group][leaf]
-    if not isinstance(found, h5py.Dataset):
-        raise FileError(f"{f.filename}: {name} is no array. {_FOREIGN}")
-    plan = found.id.get_create_plist()
-    filters = {plan.get_filter(i)[0] for i in range(plan.get_nfilters())}
-    away = plan.get_external_count() or plan.get_layout() == h5py.h5d.VIRTUAL
-    if found.dtype.kind not in PLAIN or found.dtype.fields or away or filters - FILTERS:
-        raise FileError(f"{f.filename}: {name} is no plain array. {_FOREIGN}")
+    with _told(f):
+        found = plain_array(f, name)
     if found.nbytes > MOST:
         raise FileError(f"{f.filename}: {name} has {found.nbytes:,} bytes. {_FOREIGN}")
     return found
+
+
+@contextmanager
+def _told(f: Any) -> Iterator[None]:
+    """Say of what file it is that something in it is not plain."""
+    try:
+        yield
+    except KeyError as why:
+        raise FileError(f"{f.file.filename}: {why.args[0]}. {_FOREIGN}") from None
 
 
 def _read(f: Any, name: str, found: Any) -> Array:
@@ -195,10 +189,8 @@ def _read(f: Any, name: str, found: Any) -> Array:
 
 def _hard(group: Any, name: str) -> bool:
     """Return whether a name is there and no link to another place or file."""
-    link = group.get(name, getlink=True)
-    if link is None:
-        raise FileError(f"{group.file.filename}: {name} is missing. {_FOREIGN}")
-    return isinstance(link, _h5py().HardLink)
+    with _told(group):
+        return lies_in(group, name)
 
 
 def _attributes(f: Any) -> dict[str, Any]:
@@ -219,13 +211,3 @@ _FOREIGN = "It was not written by plantsim: delete it and run the same command a
 
 def _plain(value: Any) -> Any:
     return np.bytes_(value.encode()) if isinstance(value, str) else value
-
-
-def _h5py() -> Any:
-    try:
-        import h5py  # noqa: PLC0415  an extra
-    except ImportError:
-        raise DependencyError(
-            "h5py is not installed. Run: pip install 'plantsim[io]'"
-        ) from None
-    return h5py

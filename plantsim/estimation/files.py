@@ -1,6 +1,5 @@
 """Files of observations: HDF5 with units, or NPZ where h5py is not installed."""
 
-import importlib.util
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from plantsim.arrays import Array
 from plantsim.errors import DependencyError, EstimateError, FileError
 from plantsim.estimation.observation import Observation
+from plantsim.hdf5 import h5py, plain_array
 from plantsim.paths import existing, replacing, writable
 
 FORMAT = "plantsim observations"
@@ -50,8 +50,8 @@ def write_observations(
         with replacing(path) as temporary, temporary.open("wb") as f:
             np.savez_compressed(f, **arrays)
         return path
-    h5py = _h5py()
-    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+    library = h5py("use .npz")
+    with replacing(path) as temporary, library.File(temporary, "w") as file:
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
         file.attrs["observations"] = len(groups)
         for i, fields in enumerate(groups):
@@ -115,30 +115,14 @@ def _npz(path: Path) -> tuple[int, dict[str, Array]]:
 
 
 def _hdf5(path: Path) -> tuple[int, dict[str, Array]]:
-    h5py = _h5py()
     data: dict[str, Array] = {}
-    with h5py.File(path, "r") as file:
+    with h5py("use .npz").File(path, "r") as file:
         version = _version(f"{file.attrs['format']} {file.attrs['version']}")
         for i in range(int(file.attrs["observations"])):
             for name in UNITS:
                 if name in file[str(i)]:
-                    data[f"{i}/{name}"] = _plain(file, f"{i}/{name}")
+                    data[f"{i}/{name}"] = plain_array(file, f"{i}/{name}")[()]
     return version, data
-
-
-def _plain(file: Any, name: str) -> Array:
-    """Return an array that lies in the file itself and holds numbers."""
-    h5py = _h5py()
-    group, _, leaf = name.partition("/")
-    links = file.get(group, getlink=True), file[group].get(leaf, getlink=True)
-    if not all(isinstance(link, h5py.HardLink) for link in links):
-        raise KeyError(f"{name} leads elsewhere")
-    found = file[group][leaf]
-    plan = found.id.get_create_plist()
-    away = plan.get_external_count() or plan.get_layout() == h5py.h5d.VIRTUAL
-    if away or found.dtype.kind not in "biuf":
-        raise KeyError(f"{name} is no plain array")
-    return found[()]
 
 
 def _version(text: str) -> int:
@@ -146,13 +130,3 @@ def _version(text: str) -> int:
     if name != FORMAT:
         raise KeyError("format")
     return int(version)
-
-
-def _h5py() -> Any:
-    if importlib.util.find_spec("h5py") is None:
-        raise DependencyError(
-            "HDF5 needs h5py. Run: pip install 'plantsim[io]', or use .npz."
-        )
-    import h5py  # noqa: PLC0415  an extra
-
-    return h5py
