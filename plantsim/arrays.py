@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from plantsim.errors import ModelError, PlantsimError
 
@@ -97,3 +99,25 @@ def generator(rng: Random | None) -> np.random.Generator:
         f"rng is {rng!r}, wanted a non-negative int seed or a numpy.random.Generator. "
         "Pass for example rng=7, so that the result can be had again."
     )
+
+
+def pieces(count: int, pairs: Array) -> Array:
+    """Return the label (count,), from 0, of the connected piece of each of `count` things.
+
+    `pairs` (k, 2): which are joined.
+
+    >>> pieces(4, np.array([[0, 2], [2, 3]])).tolist()
+    [0, 1, 0, 0]
+    """
+    graph = coo_array((np.ones(len(pairs)), np.asarray(pairs).T), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def repeated(each: Array) -> tuple[Array, Array]:
+    """Return every i, `each[i]` times, and the count 0, 1, ... within each.
+
+    >>> [part.tolist() for part in repeated(np.array([2, 0, 3]))]
+    [[0, 0, 2, 2, 2], [0, 1, 0, 1, 2]]
+    """
+    i = np.repeat(np.arange(len(each)), each)
+    return i, np.arange(len(i)) - np.repeat(np.cumsum(each) - each, each)

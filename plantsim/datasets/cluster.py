@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from plantsim.datasets.warden import end_children, plant_in_child
-from plantsim.errors import DatasetError, DependencyError
+from plantsim.errors import DatasetError, needs
 
 CONNECT = 15.0  # s to wait for a scheduler
 PATIENCE = 60.0  # s to wait for its first worker
@@ -28,15 +28,10 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
 
     Local processes are spawned, one thread each, and end with this one, however it ends.
     """
-    try:
-        import dask.config  # noqa: PLC0415  an extra
-        from distributed import Client, LocalCluster  # noqa: PLC0415
-    except ImportError:
-        raise DependencyError(
-            "dask is not installed. Run: pip install 'plantsim[scale]'"
-        ) from None
+    dask_config, distributed = needs("dask.config", "scale"), needs("distributed", "scale")
+    Client, LocalCluster = distributed.Client, distributed.LocalCluster
     config = {"distributed.worker.multiprocessing-method": "spawn"}
-    with _silent("distributed"), dask.config.set(config):
+    with _silent("distributed"), dask_config.set(config):
         if scheduler is None:
             with _local(LocalCluster, workers) as own, Client(own, **CLIENT) as client:
                 yield client

@@ -3,10 +3,8 @@
 from typing import NoReturn
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from plantsim.arrays import Array
+from plantsim.arrays import Array, pieces
 from plantsim.errors import ModelError
 from plantsim.mesh.tetmesh import TetMesh
 
@@ -67,6 +65,4 @@ def _spans_a_plane(x: Array) -> bool:
 
 def _bodies(mesh: TetMesh) -> Array:
     """Return the label (m,) of the face-connected body of each tet."""
-    a, b = mesh.neighbours.T
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(mesh.tets),) * 2)
-    return connected_components(graph, directed=False)[1]
+    return pieces(len(mesh.tets), mesh.neighbours)

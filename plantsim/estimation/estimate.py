@@ -18,6 +18,7 @@ from plantsim.estimation.observation import Observation
 from plantsim.estimation.output_error import MapStats, Objective, Options, Step
 from plantsim.estimation.parameters import Parameters, per_limb
 from plantsim.estimation.posterior import Posterior, posterior, quantile
+from plantsim.mesh.limbs import mean_by_region
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,19 +50,8 @@ class Estimate:
 
     def young(self) -> dict[str, float]:
         """Return the mean Young's modulus [Pa] of each limb, by volume."""
-        mesh = self.model.mesh
-        E = np.broadcast_to(self.material.young, (len(mesh.tets),))
-        v = self.model.blocks.volume
-        region = np.asarray(mesh.region)
-        total = np.bincount(region, v, len(mesh.region_names))
-        mean = np.bincount(region, v * E, len(mesh.region_names)) / np.maximum(
-            total, 1e-300
-        )
-        return {
-            name: float(e)
-            for name, e, t in zip(mesh.region_names, mean, total, strict=True)
-            if t > 0
-        }
+        model = self.model
+        return mean_by_region(model.mesh, self.material.young, model.blocks.volume)
 
     @property
     def std(self) -> dict[str, float]:

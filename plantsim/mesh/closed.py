@@ -4,11 +4,9 @@ import struct
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from plantsim.arrays import Array
+from plantsim.arrays import Array, pieces
 from plantsim.errors import FileError, MeshError
 from plantsim.mesh.files import meshio_read
 
@@ -126,8 +124,7 @@ def _merged(points: Array, faces: Array, within: float) -> tuple[Array, Array]:
     f = same.ravel()[f.reshape(-1, 3)]
     if within > 0:
         pairs = KDTree(p).query_pairs(within, output_type="ndarray")
-        graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(p),) * 2)
-        label = connected_components(graph, directed=False)[1]
+        label = pieces(len(p), pairs)
         _, first = np.unique(label, return_index=True)
         p, f = p[first], label[f]
     f = f[(f != np.roll(f, 1, axis=1)).all(axis=1)]
@@ -156,8 +153,7 @@ def _one_sided(faces: Array) -> tuple[Array, int]:
     a, b = one // 3, two // 3
     rows = np.concatenate([a, a + m])
     columns = np.concatenate([np.where(agree, b, b + m), np.where(agree, b + m, b)])
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * m, 2 * m))
-    label = connected_components(graph, directed=False)[1]
+    label = pieces(2 * m, np.stack([rows, columns], axis=1))
     if (label[:m] == label[m:]).any():
         raise MeshError("the surface has one side only, like a Moebius strip. Remake it.")
     turn = label[:m] > label[m:]
@@ -188,11 +184,8 @@ def _outward(points: Array, faces: Array) -> Array:
     """Return triangles with the whole turned outwards (positive volume)."""
     x = points[faces] - points.mean(axis=0)
     volume = np.einsum("ij,ij->i", np.cross(x[:, 0], x[:, 1]), x[:, 2])
-    graph = coo_array(
-        (np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].ravel())),
-        shape=(len(points),) * 2,
-    )
-    shell = connected_components(graph, directed=False)[1][faces[:, 0]]
+    joined = np.stack([np.repeat(faces[:, 0], 2), faces[:, 1:].ravel()], axis=1)
+    shell = pieces(len(points), joined)[faces[:, 0]]
     inside_out = np.bincount(shell, weights=volume)[shell] < 0
     out = faces.copy()
     out[inside_out] = out[inside_out][:, ::-1]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -214,3 +215,13 @@ def _limb_size(mesh: TetMesh, index: int, mine: Array, span: Array) -> LimbSize:
         float(span.mean()),
         float(mesh.quality[mine].min()),
     )
+
+
+def mean_by_region(mesh: TetMesh, values: ArrayLike, volumes: Array) -> dict[str, float]:
+    """Return the mean of values, () or (m,), over each region that has tets, by volume."""
+    region, count = np.asarray(mesh.region), len(mesh.region_names)
+    each = np.broadcast_to(values, (len(mesh.tets),))
+    total = np.bincount(region, volumes, count)
+    mean = np.bincount(region, volumes * each, count) / np.maximum(total, 1e-300)
+    rows = zip(mesh.region_names, mean, total, strict=True)
+    return {name: float(x) for name, x, v in rows if v > 0}

@@ -2,13 +2,12 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import frozen
-from plantsim.errors import DependencyError, FileError, ModelError
+from plantsim.errors import FileError, ModelError, needs
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.paths import replacing, writable
 
@@ -51,17 +50,9 @@ def write_surface(
         shape = mesh.points.shape
         rgb = frozen(colours, shape, name="colours", error=ModelError)[on].astype(np.uint8)
     faces = np.searchsorted(on, mesh.triangles)
-    surface = _trimesh().Trimesh(points, faces, vertex_colors=rgb, process=False)
+    surface = needs("trimesh", "io").Trimesh(
+        points, faces, vertex_colors=rgb, process=False
+    )
     with replacing(path) as temporary:
         surface.export(temporary, file_type=suffix[1:])
     return path
-
-
-def _trimesh() -> Any:
-    try:
-        import trimesh  # noqa: PLC0415  an extra
-    except ImportError:
-        raise DependencyError(
-            "no surface: trimesh is not installed. Run: pip install 'plantsim[io]'"
-        ) from None
-    return trimesh

@@ -10,10 +10,8 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from plantsim.arrays import Array, few, frozen, vertex_ids
+from plantsim.arrays import Array, few, frozen, pieces, vertex_ids
 from plantsim.cards import card
 from plantsim.errors import MeshError
 from plantsim.mesh.shapes import EDGES, INNER, gamma, jacobians
@@ -278,8 +276,7 @@ class TetMesh:
         """Label (n,) of the connected piece of each vertex, pieces counted from 0."""
         a = np.repeat(self.tets[:, :1], self.tets.shape[1] - 1, axis=1).ravel()
         b = self.tets[:, 1:].ravel()
-        graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(self.points),) * 2)
-        return connected_components(graph, directed=False)[1]
+        return pieces(len(self.points), np.stack([a, b], axis=1))
 
     def with_order(self, order: int) -> Self:
         """Return the mesh with tets of order 1 (corners) or 2 (straight edges added).

@@ -3,10 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from plantsim.arrays import Array
+from plantsim.arrays import Array, pieces
 from plantsim.mesh.tetmesh import TetMesh
 
 
@@ -27,7 +25,7 @@ class Topology:
 
 def topology(mesh: TetMesh) -> Topology:
     """Return how the mesh hangs together, of corners alone."""
-    joined = _pieces(len(mesh.tets), mesh.neighbours)
+    joined = pieces(len(mesh.tets), mesh.neighbours)
     size = np.bincount(joined)
     rank = np.empty_like(size)
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
@@ -47,11 +45,11 @@ def topology(mesh: TetMesh) -> Topology:
     ]
     swap = corners[ends[0][:, 0]] != corners[ends[1][:, 0]]
     other = np.where(swap[:, None], ends[1][:, ::-1], ends[1])
-    umbrella = _pieces(len(corners), np.stack([ends[0].ravel(), other.ravel()], axis=1))
+    umbrella = pieces(len(corners), np.stack([ends[0].ravel(), other.ravel()], axis=1))
     vertex = np.zeros(umbrella.max() + 1, dtype=np.int64)
     vertex[umbrella] = corners
     ids, fans = np.unique(vertex, return_counts=True)
-    shell = _pieces(len(faces), pairs // 3)
+    shell = pieces(len(faces), pairs // 3)
     euler = []
     for k in range(shell.max() + 1):
         mine = shell == k
@@ -59,9 +57,3 @@ def topology(mesh: TetMesh) -> Topology:
         e = len(np.unique(sides.reshape(-1, 3, 2)[mine].reshape(-1, 2), axis=0))
         euler.append(int(v - e + mine.sum()))
     return Topology(rank[joined], tuple(euler), ranked[first[times != 2]], ids[fans > 1])
-
-
-def _pieces(count: int, pairs: Array) -> Array:
-    """Return the label (count,) of each thing's connected piece."""
-    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
-    return connected_components(graph, directed=False)[1]

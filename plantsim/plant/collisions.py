@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from plantsim.arrays import Array
+from plantsim.arrays import Array, repeated
 from plantsim.plant.prune import without
 
 if TYPE_CHECKING:
@@ -44,8 +44,8 @@ def capsules(skeleton: "Skeleton", zone: Array) -> Capsules:
     sag = np.sqrt(bend * h * h / (8 * 0.2 * thick))
     fine = np.where(axes.arc[i] < zone[limb], h / (3 * thick), 1.0)
     parts = np.clip(np.ceil(np.maximum(sag, fine)), 1, 12).astype(int)
-    cell = np.repeat(i, parts)
-    k = np.arange(len(cell)) - np.repeat(np.cumsum(parts) - parts, parts)
+    cell, k = repeated(parts)
+    cell = i[cell]
     n = np.repeat(parts, parts)
     a, thick = axes.at(cell, k / n), axes.thickness(cell, k / n)
     # a piece ends where the next begins, the last of an interval at its node
@@ -116,14 +116,14 @@ def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
     begin, end = np.floor(low / wide).astype(int), np.floor(high / wide).astype(int)
     rows = end[:, z] - begin[:, z] + 1
     each = (end[:, y] - begin[:, y] + 1) * rows
-    box, k = _counted(each)
+    box, k = repeated(each)
     cell_y, cell_z = begin[box, y] + k // rows[box], begin[box, z] + k % rows[box]
     line = 2 * high[:, x].max() * (cell_y * (end[:, z].max() + 1) + cell_z)
     left, right = line + low[box, x], line + high[box, x]
     order = np.argsort(left)
     box, cell_y, cell_z = box[order], cell_y[order], cell_z[order]
     until = np.searchsorted(left[order], right[order], side="right")
-    one, k = _counted(until - np.arange(len(box)) - 1)
+    one, k = repeated(until - np.arange(len(box)) - 1)
     two = one + 1 + k
     for axis, cell in ((y, cell_y), (z, cell_z)):
         down, up, here = low[box, axis], high[box, axis], begin[box, axis]
@@ -142,12 +142,6 @@ def _near(c: Capsules, clear: float, only: Array | None) -> tuple[Array, Array]:
     d = centre[i] - centre[j]
     meet = np.einsum("ij,ij->i", d, d) < (ball[i] + ball[j]) ** 2
     return i[meet], j[meet]
-
-
-def _counted(each: Array) -> tuple[Array, Array]:
-    """Return i, `each[i]` times for every i, and the count 0, 1, .. within each."""
-    i = np.repeat(np.arange(len(each)), each)
-    return i, np.arange(len(i)) - np.repeat(np.cumsum(each) - each, each)
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from plantsim.arrays import Array, Random, generator
+from plantsim.arrays import Array, Random, generator, repeated
 from plantsim.errors import GeometryError
 from plantsim.plant.hung import Hung
 
@@ -54,9 +54,9 @@ def leaves(
     rows = np.arange(len(skeleton.first)) if not len(rows) else rows
     length = skeleton.arc[skeleton.last[rows]]
     number = np.maximum(1, np.floor(0.85 * length / gap)).astype(int)
-    limb = np.repeat(rows, number)
-    k = np.arange(len(limb)) - np.repeat(np.cumsum(number) - number, number)
-    fraction = 1.0 - 0.85 * k / np.repeat(number, number)
+    row, k = repeated(number)
+    limb = rows[row]
+    fraction = 1.0 - 0.85 * k / number[row]
     turn = generator(rng).uniform(0, 2 * np.pi, len(rows))
     angle = np.repeat(turn, number) + PHYLLOTAXIS * k
     out = _across(skeleton, limb, fraction, angle)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plantsim.arrays import Array, Random, generator
+from plantsim.arrays import Array, Random, generator, repeated
 from plantsim.errors import GeometryError
 from plantsim.plant.frames import Frames, about_x, about_y, about_z, on_tangent
 from plantsim.plant.parameters import LEVELS, WeberPenn, species
@@ -293,8 +293,7 @@ def _single(
 ) -> tuple[Array, Array, Array]:
     """Place children one by one: (row, t in segments, azimuth in degrees)."""
     flat = counts.ravel()
-    cell = np.repeat(np.arange(flat.size), flat)
-    k = np.arange(len(cell)) - np.repeat(np.cumsum(flat) - flat, flat)
+    cell, k = repeated(flat)
     row, s = cell // stems.segments, cell % stems.segments
     shift = np.where(k % 2 == 1, m.branch_dist[n], 0.0)
     middle = 0.5 if m.published else 0.0
@@ -315,16 +314,14 @@ def _whorls(
     """Place children in whorls of branch_dist + 1."""
     each = m.branch_dist[n] + 1
     whorls = (counts / each + 1e-9).astype(int).ravel()
-    cell = np.repeat(np.arange(whorls.size), whorls)
-    w = np.arange(len(cell)) - np.repeat(np.cumsum(whorls) - whorls, whorls)
+    cell, w = repeated(whorls)
     row = cell // stems.segments
     t = cell % stems.segments + w / whorls[cell]
     turn = first[row] + m.rotate[n] * (np.arange(len(row)) - np.searchsorted(row, row))
     size = np.floor((w + 1) * each + 1e-9) - np.floor(w * each + 1e-9)
     size[t / stems.segments <= m.bare[min(stems.level, LEVELS - 1)]] = 0
     size = size.astype(int)
-    pick = np.repeat(np.arange(len(size)), size)
-    k = np.arange(len(pick)) - np.repeat(np.cumsum(size) - size, size)
+    pick, k = repeated(size)
     return row[pick], t[pick], turn[pick] + 360 * k / size[pick]
 
 

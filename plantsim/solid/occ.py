@@ -8,11 +8,9 @@ circles of equally many points.
 import itertools
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from plantsim.arrays import Array
+from plantsim.arrays import Array, pieces
 from plantsim.errors import MeshError
 from plantsim.solid import gmsh_model
 from plantsim.solid.joints import Stretch, stretches
@@ -177,9 +175,8 @@ def _joined(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     faces = np.concatenate([f + s for (_, f), s in zip(parts, shift, strict=True)])
     edge = np.linalg.norm(points[faces[:, 0]] - points[faces[:, 1]], axis=1).min()
     pairs = KDTree(points).query_pairs(1e-4 * edge, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
-    count, label = connected_components(graph, directed=False)
-    merged = np.empty((count, 3))
+    label = pieces(len(points), pairs)
+    merged = np.empty((label.max() + 1, 3))
     merged[label] = points
     faces = label[faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]

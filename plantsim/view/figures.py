@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import Equilibrium
-from plantsim.errors import DependencyError, ModelError
+from plantsim.errors import DependencyError, ModelError, needs
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.paths import Picture, replacing, writable
 from plantsim.view.probe import why_not_drawn
@@ -148,7 +148,7 @@ def animate_touch(
         plotter.close()
     images += images[-2:0:-1] if back else []
     with replacing(path) as temporary:
-        _imageio().imwrite(temporary, images, duration=1000 / FPS, loop=0)
+        needs("imageio.v3", "view").imwrite(temporary, images, duration=1000 / FPS, loop=0)
     return Picture(path)
 
 
@@ -278,16 +278,6 @@ def _pyvista() -> Any:
     import pyvista  # noqa: PLC0415  only once it is known that drawing cannot crash
 
     return pyvista
-
-
-def _imageio() -> Any:
-    try:
-        import imageio.v3  # noqa: PLC0415  an extra
-    except ImportError:
-        raise DependencyError(
-            "no animation: imageio is not installed. Run: pip install 'plantsim[view]'"
-        ) from None
-    return imageio.v3
 
 
 def _surface(pv: Any, mesh: TetMesh, points: Array, *, clean: bool = True) -> Any:

@@ -1,6 +1,5 @@
 """The viewer's controls: what a page shows beside the plant, and what its knobs do."""
 
-import inspect
 import itertools
 import tempfile
 import threading
@@ -12,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import LINEAR_LIMIT
-from plantsim.elastic.material import Material
 from plantsim.estimation.estimate import estimate
 from plantsim.estimation.files import write_observations
 from plantsim.estimation.parameters import per_limb
 from plantsim.mesh.files import FORMATS, read_mesh
+from plantsim.mesh.limbs import mean_by_region
 from plantsim.plant.parameters import species_names
 from plantsim.view.plants import potted
 from plantsim.view.style import plain
-from plantsim.view.touching import Burden, Frame, Touching, kinematics_of
+from plantsim.view.touching import KINEMATICS, Burden, Frame, Touching
 
 if TYPE_CHECKING:
     from plantsim.view.app import Viewer
@@ -86,9 +84,7 @@ class Panel:
             f"{3 * (len(mesh.points) - len(model.fixed_ids)):,} unknowns"
         )
         self._words.content = HELP
-        known = kinematics_of(model)
-        self._kinematics.options = known
-        self._kinematics.visible = len(known) > 1
+        self._kinematics.options = KINEMATICS
         self._stiff.value, self._gravity.value, self._fruit.value = 0.0, 0.0, 0.0
         self._fruit.max = float(f"{max(0.2 * model.mass, 1e-3):.1g}") * 5
         self._fruit.step = self._fruit.max / 100
@@ -319,7 +315,9 @@ class Panel:
         if prior is not viewer.prior:
             return  # another plant by now
         viewer.found = found
-        truth = by_limb(viewer.touching, viewer.touching.model.material)
+        mesh = viewer.touching.mesh
+        young = viewer.touching.model.material.young
+        truth = mean_by_region(mesh, young, mesh.volumes)
         factor = viewer.touching.burden.stiffness
         lines = ["| limb | found, GPa | true, GPa |", "|---|---|---|"]
         lines += [
@@ -342,17 +340,4 @@ def fitted(prior: Any, seen: list[Any], step: Callable[[Any], None]) -> Any:
         return estimate(
             prior, seen, parameters=per_limb(), method="force-balance", rows="balance"
         )
-    walks = "progress" in inspect.signature(estimate).parameters
-    told: dict[str, Any] = {"progress": step} if walks else {}
-    return estimate(prior, seen, parameters=per_limb(), **told)
-
-
-def by_limb(touching: Touching, material: Material) -> dict[str, float]:
-    """Return the mean Young's modulus [Pa] of every limb, by volume."""
-    mesh = touching.mesh
-    young: Array = np.broadcast_to(material.young, (len(mesh.tets),))
-    region, volume = np.asarray(mesh.region), np.asarray(mesh.volumes)
-    names = mesh.region_names
-    total = np.bincount(region, volume, len(names))
-    mean = np.bincount(region, volume * young, len(names)) / np.maximum(total, 1e-300)
-    return {name: float(e) for name, e, t in zip(names, mean, total, strict=True) if t > 0}
+    return estimate(prior, seen, parameters=per_limb(), progress=step)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from plantsim.errors import ModelError
 from plantsim.paths import Picture, replacing, writable
+from plantsim.view.skeletons import blank_figure
 from plantsim.view.style import styled
 
 FORMATS = (".png", ".svg", ".pdf")
@@ -35,7 +36,7 @@ def figure_table_one(
         lines["paper, Table I"] = PAPER
     lines |= {name: (shots, *errors) for name, errors in ours.items()}
     with styled():
-        figure = _figure(8.4, 3.6)
+        figure = blank_figure(8.4, 3.6)
         for k, what in enumerate(("visual error, cm", "tactile error, N")):
             axes = figure.add_subplot(1, 2, k + 1)
             for name, line in lines.items():
@@ -60,7 +61,7 @@ def figure_convergence(
     """Draw errors over element sizes on log scales, with the fitted rate of each line."""
     h = np.asarray(sizes, dtype=float)
     with styled():
-        figure = _figure(5.2, 4.0)
+        figure = blank_figure(5.2, 4.0)
         axes = figure.add_subplot()
         for name, error in errors.items():
             e = np.abs(np.asarray(error, dtype=float))
@@ -86,7 +87,7 @@ def figure_ratios(
     if not len(values) or not (values > 0).all():
         raise ModelError(f"ratios {ratios}. Give at least one, all above 0.")
     with styled():
-        figure = _figure(6.4, 0.7 + 0.42 * len(values))
+        figure = blank_figure(6.4, 0.7 + 0.42 * len(values))
         axes = figure.add_subplot()
         axes.barh(range(len(values)), values - 1, left=1.0, height=0.6)
         for i, v in enumerate(values):
@@ -117,15 +118,6 @@ def saved(figure: Any, out: str | os.PathLike[str]) -> Path:
     with replacing(path) as temporary, styled():
         figure.savefig(temporary, dpi=150, format=kind, metadata=stamp)
     return Picture(path)
-
-
-def _figure(width: float, height: float) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  an extra
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    figure = Figure(figsize=(width, height), facecolor="white")
-    FigureCanvasAgg(figure)  # no window, whatever the backend
-    return figure
 
 
 def _line(axes: Any, name: str, x: ArrayLike, y: ArrayLike) -> None:

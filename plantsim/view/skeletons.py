@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.errors import DependencyError
+from plantsim.errors import needs
 from plantsim.paths import replacing
 from plantsim.plant.skeleton import Skeleton
 
@@ -57,17 +57,10 @@ def contact_sheet(
 
 def blank_figure(width: float, height: float) -> Any:
     """Return a white matplotlib figure, inches; DependencyError without matplotlib."""
-    try:
-        from matplotlib.backends.backend_agg import (  # noqa: PLC0415  an extra
-            FigureCanvasAgg,
-        )
-        from matplotlib.figure import Figure  # noqa: PLC0415
-    except ImportError:
-        raise DependencyError(
-            "no picture: matplotlib is not installed. Install plantsim[view]."
-        ) from None
-    figure = Figure(figsize=(width, height), facecolor="white")
-    FigureCanvasAgg(figure)  # no window, whatever the backend
+    canvas: Any = needs("matplotlib.backends.backend_agg", "view")
+    drawing: Any = needs("matplotlib.figure", "view")
+    figure = drawing.Figure(figsize=(width, height), facecolor="white")
+    canvas.FigureCanvasAgg(figure)  # no window, whatever the backend
     return figure
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array
-from plantsim.errors import DependencyError
+from plantsim.errors import needs
 
 # Source: Okabe and Ito, Color Universal Design, 2008 (jfly.uni-koeln.de/color)
 BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
@@ -42,13 +42,7 @@ def styled() -> Iterator[Any]:
 
     Raises DependencyError where matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl  # noqa: PLC0415  an extra
-        from cycler import cycler  # noqa: PLC0415
-    except ImportError:
-        raise DependencyError(
-            "no picture: matplotlib is not installed. Install plantsim[view]."
-        ) from None
+    mpl, cycler = needs("matplotlib", "view"), needs("cycler", "view").cycler
     settings: Any = _SETTINGS | {
         "axes.prop_cycle": cycler(color=CYCLE) + cycler(marker=MARKS)
     }

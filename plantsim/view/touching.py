@@ -314,18 +314,6 @@ def limb_tips(mesh: TetMesh) -> Array:
     return np.unique(tips[1:] if len(tips) > 1 else tips)
 
 
-def kinematics_of(model: ElasticModel) -> tuple[str, ...]:
-    """Return the kinematics that a model can have here."""
-    known = []
-    for name in KINEMATICS:
-        try:
-            replace(model, kinematics=name)  # type: ignore[arg-type]
-        except ModelError:
-            continue
-        known.append(name)
-    return tuple(known)
-
-
 def hit(origin: ArrayLike, way: ArrayLike, points: Array, triangles: Array) -> Array | None:
     """Return where a ray first meets triangles (k, 3) of points (s, 3), or None.
 
