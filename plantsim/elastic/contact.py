@@ -69,13 +69,15 @@ class Columns:
 
     def between(self, ids: Array) -> Array:
         """Return the compliance among vertices alone, S (3k, 3k) [m/N], symmetric."""
-        if self.missing(ids) <= ALONE:
-            rows = (3 * ids[:, None] + np.arange(3)).ravel()
-            S = self.of(ids)[:, rows]
-            return (S + S.T) / 2
-        free, factor = self._model.base_factor()
-        place = self._places(free, ids)
-        return factor.compliance((3 * place[:, None] + np.arange(3)).ravel())
+        components = np.arange(3)
+        if self.missing(ids) > ALONE:
+            free, factor = self._model.base_factor()
+            place = self._places(free, ids)
+            S = factor.compliance((3 * place[:, None] + components).ravel())
+            if S is not None:
+                return S
+        S = self.of(ids)[:, (3 * ids[:, None] + components).ravel()]
+        return (S + S.T) / 2
 
     def _places(self, free: Array, ids: Array) -> Array:
         """Return where vertices are among the free ones; ModelError where they are not."""

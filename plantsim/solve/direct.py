@@ -130,17 +130,16 @@ class DirectFactor:
             )
         return u, 0, error
 
-    def compliance(self, rows: Array) -> Array:
-        """Return K^-1 among some unknowns (k,), (k, k), vouched for by one whole solve."""
-        n, k = self.K.shape[0], len(rows)
+    def compliance(self, rows: Array) -> Array | None:
+        """Return K^-1 among some unknowns (k,), (k, k), vouched for by one whole solve.
+
+        None where the factor is PARDISO's, pivoted, or too large to be copied.
+        """
         if self._half is None:
-            unit = np.zeros((n, k), order="F")
-            unit[rows, np.arange(k)] = 1.0
-            S = self(unit)[0][rows]
-            return (S + S.T) / 2
+            return None
         S = self._half.between(rows)
-        load = np.zeros(n)
-        load[rows] = np.arange(1, k + 1)
+        load = np.zeros(self.K.shape[0])
+        load[rows] = np.arange(1, len(rows) + 1)
         whole = self(load)[0][rows]
         apart = norm(np.einsum("ij,j->i", S, load[rows]) - whole) / norm(whole)
         if not apart <= FORWARD:

@@ -42,8 +42,11 @@ class Factor(Protocol):
         """
         ...
 
-    def compliance(self, rows: Array) -> Array:
-        """Return K^-1 among some unknowns (k,), (k, k), symmetric."""
+    def compliance(self, rows: Array) -> Array | None:
+        """Return K^-1 among some unknowns (k,), (k, k), symmetric.
+
+        None where it would cost as much as whole columns, which then are the better buy.
+        """
         ...
 
 
