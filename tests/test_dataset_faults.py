@@ -52,7 +52,7 @@ def faulty(make_plant):
         if fault == "crash":
             ctypes.string_at(0)  # a segmentation fault, as gmsh has them
         if fault == "hang":
-            ctypes.CDLL(None).pause()  # in C, deaf to Python
+            ctypes.PyDLL(None).pause()  # in C, without giving up Python's lock
         if fault == "unmeshable":
             from plantsim.solid import wild
             from plantsim.solid.gmsh_model import gmsh
@@ -175,7 +175,8 @@ def test_sigkill_to_a_worker_costs_no_plant(bench):
 
 
 def test_sigkill_to_the_run_leaves_no_process_and_loses_no_plant(bench):
-    run = bench.start("--workers", "2", slow=0.5)
+    hung = {"3": "hang"}  # even one that Python cannot reach
+    run = bench.start("--workers", "2", slow=0.5, **hung)
     bench.wait_for(2, run)
     below = descendants(run)
     assert below

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = """errors arrays paths cards hdf5 plant mesh solid solve elastic touch estimation
-view datasets doctor demo cli""".split()
+ROOMS = """errors arrays paths lifetime cards hdf5 plant mesh solid solve elastic touch
+estimation view datasets doctor demo cli""".split()
 HOMES = {
     "gmsh": {"solid/gmsh_model.py"},
     "meshio": {"mesh/files.py"},

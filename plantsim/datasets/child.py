@@ -1,7 +1,7 @@
 """The process that makes plants one by one, so that gmsh may crash or hang in it.
 
 It says that it is ready, then reads one JSON request a line and answers with one JSON line.
-It ends when its input does, whatever its main thread is doing: who asked is gone then.
+It ends when its input does, or its parent: who asked is gone then.
 """
 
 import contextlib
@@ -20,6 +20,7 @@ from plantsim.datasets import store
 from plantsim.datasets.folder import Folder, row_of
 from plantsim.datasets.recipe import Recipe
 from plantsim.errors import DependencyError
+from plantsim.lifetime import end_with
 
 
 def make(request: dict[str, Any]) -> dict[str, Any]:
@@ -61,6 +62,7 @@ def make(request: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Serve requests until the input ends; the kernels' chatter goes nowhere."""
+    end_with(int(sys.argv[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -77,7 +77,7 @@ class Child:
         if self._process is None:
             self._said = tempfile.TemporaryFile()
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "plantsim.datasets.child"],
+                [sys.executable, "-m", "plantsim.datasets.child", str(os.getpid())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._said,

@@ -5,12 +5,9 @@ pickle. A child dies with its parent, is ended after a time limit, and what it o
 prints goes nowhere; its failure comes back as a sentence.
 """
 
-import contextlib
-import ctypes
 import io
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,9 +17,9 @@ import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.errors import MeshError
+from plantsim.lifetime import end_with
 
 MARK = "plantsim-error:"
-DIE_WITH_PARENT = 1  # prctl's PR_SET_PDEATHSIG
 
 
 def asked(
@@ -71,7 +68,7 @@ def sets_of(arrays: dict[str, Array]) -> dict[str, Array]:
 
 def serve(work: Callable[[dict[str, Any], bytes], bytes]) -> None:
     """Answer one request: `work` gets it, and standard input, and returns packed arrays."""
-    _end_with(int(sys.argv[2]))
+    end_with(int(sys.argv[2]))
     result = _quiet_output()
     try:
         answer = work(json.loads(sys.argv[1]), sys.stdin.buffer.read())
@@ -80,14 +77,6 @@ def serve(work: Callable[[dict[str, Any], bytes], bytes]) -> None:
         sys.exit(3)
     with result:
         result.write(answer)
-
-
-def _end_with(parent: int) -> None:
-    """End this process when its parent ends, however that ends (Linux)."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
-    if os.getppid() != parent:  # it ended before
-        os._exit(1)
 
 
 def _quiet_output() -> io.BufferedWriter:
