@@ -84,6 +84,18 @@ def stages(rows) -> None:
     )
 
 
+def rates(runs: dict[int, Run]) -> None:
+    """Print plants a minute by stage: what all workers would do at that stage alone."""
+    print("\n| stage |" + "".join(f" {n} at work: s a plant | a minute |" for n in runs))
+    print("|---|" + "---|---|" * len(runs))
+    each = {n: spent(run.rows).mean(axis=0) for n, run in runs.items()}
+    for i, name in enumerate(STAGES):
+        cells = [f" {s[i]:.3f} | {60 * n / s[i]:,.0f} |" for n, s in each.items()]
+        print(f"| {name} |" + "".join(cells))
+    cells = [f" {s.sum():.3f} | {60 * n / s.sum():,.0f} |" for n, s in each.items()]
+    print("| all |" + "".join(cells))
+
+
 def sizes(rows) -> None:
     """Print what a plant costs by its limbs, and a line through its tets."""
     limbs, tets, cpu, disk = (
@@ -144,16 +156,17 @@ def compare(recipe: ps.Recipe, turns: int) -> tuple[float, tuple[dict, ...]]:
         busy[workers] = np.median([r.busy for r in done])
         print(f"| {workers} | {minutes:.1f} | {cpu[workers]:.2f} | {busy[workers]:.1%} |")
     efficiency = cpu[1] / cpu[2] * busy[2] / busy[1]
-    rates = [np.median([r.seconds for r in done]) for done in runs.values()]
+    clock = [np.median([r.seconds for r in done]) for done in runs.values()]
     print(
         f"\nefficiency of two workers: {efficiency:.0%}; by the clock alone "
-        f"{rates[0] / rates[1] / 2:.0%}"
+        f"{clock[0] / clock[1] / 2:.0%}"
     )
     same = all(
         a["digest"] == b["digest"]
         for a, b in zip(runs[1][0].rows, runs[2][-1].rows, strict=True)
     )
     print(f"the same numbers by one worker and by two: {'yes' if same else 'NO'}")
+    rates({n: done[-1] for n, done in runs.items()})
     return float(min(efficiency, 1.0)), runs[1][0].rows
 
 

@@ -22,7 +22,7 @@ from plantsim.datasets.recipe import Kind, Meshing, Touching, example
 h5py = pytest.importorskip("h5py")
 
 from plantsim.datasets.checks import SCHEMA, check_dataset  # noqa: E402
-from plantsim.datasets.folder import COLUMNS  # noqa: E402
+from plantsim.datasets.folder import COLUMNS, STAGES  # noqa: E402
 from plantsim.datasets.plant import limb_moduli, make_plant  # noqa: E402
 from plantsim.datasets.reading import Plant  # noqa: E402
 from plantsim.datasets.summary import summarise  # noqa: E402
@@ -150,8 +150,10 @@ def test_made_plants_read_back_and_agree_with_the_model(recipe, made):
         np.testing.assert_array_equal(model.fixed_ids, plant.mesh.sets["base"])
         for i, ids in enumerate(data["touches/moved"]):
             for step in range(2):
-                # by another way than they were made: a factor, not compliance columns
-                state = model.solve(ps.move(ids, data["touches/move"][i, step]))
+                # by another way than they were made: a factor of their own, which the first
+                # moves of a model get, not compliance
+                state = plant.model().solve(ps.move(ids, data["touches/move"][i, step]))
+                assert "compliance" not in state.stats.backend
                 f, u = state.force[ids], state.displacement[data["touches/seen"]]
                 for name, value in (("force", f), ("displacement", u)):
                     off = np.abs(data[f"touches/true_{name}"][i, step] - value).max()
@@ -167,6 +169,12 @@ def test_made_plants_read_back_and_agree_with_the_model(recipe, made):
     grown = ps.WeberPenn.from_mapping(json.loads(str(plant.facts["parameters"])))
     assert grown == drawn(recipe, 1).model
     assert json.loads(str(plant.facts["versions"]))["numpy"] == np.__version__
+    assert plant.facts["mesher"] == "occ, HXT"
+    assert "SuperLU" in str(plant.facts["solver"])
+    with store.opened(plant.path) as f:
+        run = store.run(f)
+    assert set(run) == {*STAGES, "cpu"}
+    assert all(0 <= run[name] < 600 for name in run)
 
 
 def test_noise_is_of_the_stated_size(recipe):
@@ -218,6 +226,13 @@ def test_index_is_made_anew_from_what_is_there(made, tmp_path):
     (folder / "index.csv").unlink()
     assert len(ps.dataset(made.recipe, folder)) == 5  # nothing to make: no cluster
     assert (folder / "index.csv").read_text() == index
+
+
+def test_without_a_folder_named_it_is_plants_here(made, tmp_path, monkeypatch):
+    copied(made, tmp_path).rename(tmp_path / "plants")
+    monkeypatch.chdir(tmp_path)
+    found = ps.dataset(made.recipe)
+    assert (len(found), found.folder) == (5, tmp_path / "plants")
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(recipe, tmp_path):

@@ -1,6 +1,8 @@
 """Nothing is lost: killed workers, schedulers and runs, full disks, plants that crash."""
 
+import contextlib
 import csv
+import errno
 import json
 import os
 import resource
@@ -23,6 +25,7 @@ pytest.importorskip("distributed")
 import psutil
 
 from plantsim.datasets.checks import check_dataset
+from plantsim.datasets.plant import make_plant
 
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE = 240  # s; the machine may be busy
@@ -152,17 +155,18 @@ def gone(processes, seconds=60):
     return not [p for p in alive if p.status() != psutil.STATUS_ZOMBIE]
 
 
-def workers(process):
-    """Return the Dask workers among a run's processes: those that have a child of ours."""
-    makers = [p for p in descendants(process) if "plantsim.datasets.child" in p.cmdline()]
-    return [psutil.Process(p.ppid()) for p in makers]
+def makers(process):
+    """Return the processes below one that make plants; their parents are Dask's workers."""
+    return [p for p in descendants(process) if "plantsim.datasets.child" in p.cmdline()]
 
 
 @pytest.mark.slow
 def test_sigkill_to_a_worker_costs_no_plant(bench):
     run = bench.start("--workers", "2", slow=0.5)
     bench.wait_for(1, run)
-    victim = workers(run)[0]
+    makers(run)[0].kill()  # as the kernel does where memory is short: asked again, once
+    bench.wait_for(4, run)
+    victim = psutil.Process(makers(run)[0].ppid())
     assert victim.pid != run.pid
     below = victim.children(recursive=True)
     victim.kill()
@@ -239,6 +243,34 @@ def cluster(bench, name, **faults):
 
 
 @pytest.mark.slow
+def test_a_cluster_of_two_workers_gives_the_same_numbers_though_the_run_was_killed(
+    bench, recipe
+):
+    scheduler, hands, address = cluster(bench, "one.json", slow=0.5)
+    try:
+        run = bench.start("--scheduler", address)
+        bench.wait_for(2, run)
+        assert len({p.ppid() for p in makers(hands)}) == 2  # two worker processes
+        run.send_signal(signal.SIGKILL)
+        run.communicate()
+        before = bench.times()
+        assert 2 <= len(before) < 8
+        code, out, err = bench.run("--scheduler", address)
+        assert (code, err) == (0, "")
+        assert "8 of 8" in out
+        after = bench.times()
+        assert {path: after[path] for path in before} == before
+        assert check_dataset(bench.out).sound
+    finally:
+        for process in (hands, scheduler):
+            process.terminate()
+            process.wait(timeout=PATIENCE)
+    for row in ps.open_dataset(bench.out).rows:
+        alone = make_plant(recipe, row["plant"])
+        assert row["digest"] == store.digest_of(alone.arrays, alone.facts)
+
+
+@pytest.mark.slow
 def test_sigkill_to_the_scheduler_of_a_cluster_and_a_second_run_on_a_new_one(bench):
     started = []
     try:
@@ -270,8 +302,7 @@ def test_sigkill_to_the_scheduler_of_a_cluster_and_a_second_run_on_a_new_one(ben
         after = bench.times()
         assert {path: after[path] for path in before} == before
         assert check_dataset(bench.out).sound
-        makers = [p for p in descendants(hands) if "plantsim.datasets.child" in p.cmdline()]
-        assert not makers  # the user's workers are left as they were
+        assert not makers(hands)  # the user's workers are left as they were
     finally:
         for process in started:
             process.kill()
@@ -367,6 +398,118 @@ def test_full_disk_stops_the_run_and_the_next_goes_on_when_there_is_room(bench):
         subprocess.run(["umount", str(bench.out)], check=True)
 
 
+class Killed(BaseException):
+    """Stands for SIGKILL: from here on the process does nothing to the disk."""
+
+
+class Axe:
+    """Kills this process, as far as a folder can tell, at its nth act on files there."""
+
+    ACTS = ("open", "os.mkdir", "os.rename", "os.remove", "os.chmod", "os.listdir")
+
+    def __init__(self):
+        self.folder, self.acts, self.last = None, 0, 0
+        sys.addaudithook(self)
+
+    def __call__(self, event, arguments):
+        if self.folder is None or event not in self.ACTS:
+            return
+        if str(self.folder) in map(str, arguments[:2]) or any(
+            str(a).startswith(f"{self.folder}/") for a in arguments[:2]
+        ):
+            self.acts += 1
+            if self.acts > self.last:
+                raise Killed
+
+    @contextlib.contextmanager
+    def at(self, folder, last):
+        self.folder, self.acts, self.last = folder, 0, last
+        try:
+            yield
+        finally:
+            self.folder = None
+
+
+@pytest.fixture
+def here(recipe, monkeypatch):
+    """Make plants in this process: in no cluster, and from arrays that are there."""
+    from plantsim.datasets import child, generate, plant
+
+    made = {i: plant.make_plant(recipe, i) for i in range(3)}
+    written = []
+
+    def all_here(client, plain, plants, folder, threads, tell):
+        for i in plants:
+            answer = child.make({"recipe": plain, "plant": i, "folder": str(folder)})
+            if "failure" in answer:
+                row = {"plant": i, "status": "failed", "kind": "error", "bytes": 0}
+                row |= {"split": "train", "reason": answer["failure"]}
+                Folder(folder).write_failure(i, row)
+                answer = {"row": row}
+            if "halt" in answer:
+                raise ps.DatasetError(answer["halt"])
+            tell(answer["row"])
+            written.append(i)
+        return []
+
+    def taken(_, i):
+        if i == 1:
+            raise ps.MeshError("no mesh.")
+        return made[i]
+
+    monkeypatch.setattr(plant, "make_plant", taken)
+    for name, stub in (
+        ("connected", lambda *_: contextlib.nullcontext()),
+        ("check_workers", lambda *_: 1),
+        ("make_all", all_here),
+    ):
+        monkeypatch.setattr(generate.cluster, name, stub)
+    monkeypatch.setattr(generate, "INDEX_EVERY", 0.0)
+    return replace(recipe, plants=3), written
+
+
+def test_killed_at_every_single_act_on_a_file_the_next_run_finishes(here, tmp_path):
+    recipe, written = here
+    axe, last = Axe(), 0
+    while True:
+        out = tmp_path / f"{last:04d}"
+        killed = False
+        with axe.at(out, last):
+            try:
+                ps.dataset(recipe, out)
+            except Killed:
+                killed = True
+        there = {p: p.stat().st_mtime_ns for p in out.glob("plants/*/[0-9]*.h5")}
+        noted = len(list(out.glob("failures/[0-9]*.json")))
+        written.clear()
+        again = ps.dataset(recipe, out)
+        assert (len(again), [row["plant"] for row in again.failures]) == (2, [1]), last
+        assert len(written) == 3 - len(there) - noted, last  # nothing is done twice
+        assert {p: p.stat().st_mtime_ns for p in there} == there
+        report = check_dataset(out)
+        assert report.sound, (last, report.problems)
+        assert not [p for p in out.rglob(".*") if p.name != ".lock"]  # nothing half-done
+        if not killed:
+            break
+        last += 1
+    assert last > 30
+
+
+def test_a_disk_too_full_for_the_index_stops_the_run_with_a_sentence(
+    here, tmp_path, monkeypatch
+):
+    recipe, _ = here
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Folder, "write_index", full)
+    with pytest.raises(ps.DatasetError, match=r"No space left.*same command goes on"):
+        ps.dataset(recipe, tmp_path / "out")
+    monkeypatch.undo()
+    assert len(ps.open_dataset(tmp_path / "out")) == 1  # which was made before that
+
+
 def test_two_runs_do_not_write_to_one_folder(bench, recipe):
     with (
         Folder(bench.out).locked(),
@@ -382,6 +525,7 @@ def test_a_process_that_cannot_start_is_no_plants_fault(bench, recipe, monkeypat
         warden.plant_in_child(recipe.plain(), 0, str(bench.out))
     assert not list(bench.out.iterdir())
     monkeypatch.undo()
+    (bench.out / "plants").mkdir()
     made = warden.plant_in_child(recipe.plain(), 0, str(bench.out))
     assert made["row"]["status"] == "done"
     warden.end_children()

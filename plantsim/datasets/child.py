@@ -36,7 +36,8 @@ def make(request: dict[str, Any]) -> dict[str, Any]:
 
         made = make_plant(Recipe.from_mapping(request["recipe"]), plant)
         path = folder.plant_file(plant)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        # no parents: a machine that does not see the folder is not to make one of its own
+        path.parent.mkdir(exist_ok=True)
         began = time.perf_counter()
         store.write(
             path,

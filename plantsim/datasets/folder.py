@@ -77,7 +77,7 @@ class Folder:
         """
         for name in (".recipe-*.json", ".index-*.csv", ".summary-*.html"):
             for half in self.path.glob(name):
-                half.unlink()
+                half.unlink(missing_ok=True)
         if self.recipe_file.exists():
             old = self.recipe()
             if old.fingerprint != recipe.fingerprint:
@@ -98,13 +98,14 @@ class Folder:
                     f"{self.path}: not empty and no data set (there is {strange[0]}). Give "
                     "another --out."
                 )
+        # first of all: by it a folder is known that was begun and then killed
+        with replacing(self.recipe_file) as temporary:
+            temporary.write_text(json.dumps(recipe.plain(), indent=1), encoding="utf-8")
         for name in ("plants", "failures"):
             (self.path / name).mkdir(exist_ok=True)
         for part in (*(self.path / "plants").glob("[0-9]*"), self.path / "failures"):
             for half in part.glob(".[0-9]*-*"):
                 half.unlink(missing_ok=True)
-        with replacing(self.recipe_file) as temporary:
-            temporary.write_text(json.dumps(recipe.plain(), indent=1), encoding="utf-8")
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -163,7 +164,6 @@ class Folder:
     def write_failure(self, plant: int, row: Row) -> None:
         """Write down that a plant could not be made, and why."""
         path = self.failure_file(plant)
-        path.parent.mkdir(exist_ok=True)
         with replacing(path) as temporary:
             temporary.write_text(json.dumps(row), encoding="utf-8")
 

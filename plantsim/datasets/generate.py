@@ -42,7 +42,7 @@ class Progress:
 
 def dataset(
     recipe: Recipe | str | os.PathLike[str],
-    out: str | os.PathLike[str],
+    out: str | os.PathLike[str] = "plants",
     *,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -67,20 +67,19 @@ def dataset(
     if not 1 <= workers <= 10_000:
         raise DatasetError(f"{workers} workers; give 1 or more.")
     folder = Folder(Path(out).resolve())
-    with folder.locked():
+    with _disk_errors_told(folder), folder.locked():
         folder.begin(recipe)
         rows = {row["plant"]: row for row in folder.rows()}
         for row in list(rows.values()):
             if row["status"] == "failed" and retry:
                 folder.failure_file(row["plant"]).unlink()
                 del rows[row["plant"]]
-        missing = sum(p not in rows for p in range(recipe.plants))
         log = _Log(folder, rows, recipe.plants, tell)
         log.tell()
+        missing = [p for p in range(recipe.plants) if p not in rows]
         try:
             if missing:
-                plants = (p for p in range(recipe.plants) if p not in rows)
-                _make(recipe, plants, folder, scheduler, min(workers, missing), log)
+                _make(recipe, missing, folder, scheduler, workers, log)
         except BaseException:
             with contextlib.suppress(OSError):  # it is made anew from what is there
                 folder.write_index(folder.rows())
@@ -89,21 +88,32 @@ def dataset(
     return open_dataset(folder.path)
 
 
+@contextlib.contextmanager
+def _disk_errors_told(folder: Folder) -> Iterator[None]:
+    try:
+        yield
+    except OSError as why:
+        raise DatasetError(
+            f"{why.filename or folder.path}: {why.strerror or why}. Make room or mend "
+            "that; the same command goes on from there."
+        ) from None
+
+
 def _make(
     recipe: Recipe,
-    plants: Iterator[int],
+    missing: list[int],
     folder: Folder,
     scheduler: str | None,
     workers: int,
     log: "_Log",
 ) -> None:
+    workers = min(workers, len(missing))
     try:
         with cluster.connected(scheduler, workers) as client:
             threads = cluster.check_workers(client, folder.path, folder.recipe_file.name)
             plain: dict[str, Any] = recipe.plain()
-            todo = list(plants)  # before rows are added
             lost = cluster.make_all(
-                client, plain, iter(todo), folder.path, threads, log.add
+                client, plain, iter(missing), folder.path, threads, log.add
             )
             if scheduler is not None:
                 with contextlib.suppress(Exception):  # idle processes, of no consequence
