@@ -89,6 +89,8 @@ if TYPE_CHECKING:
     from plantsim.view.figures import figure_material as figure_material
     from plantsim.view.figures import figure_mesh as figure_mesh
     from plantsim.view.figures import figure_posterior as figure_posterior
+    from plantsim.view.figures import figure_solid as figure_solid
+    from plantsim.view.figures import figure_touch as figure_touch
     from plantsim.view.plots import figure_convergence as figure_convergence
     from plantsim.view.plots import figure_ratios as figure_ratios
     from plantsim.view.plots import figure_table_one as figure_table_one
@@ -160,6 +162,8 @@ _HOME = {
         "figure_material",
         "figure_mesh",
         "figure_posterior",
+        "figure_solid",
+        "figure_touch",
     ),
     "plantsim.view.plots": ("figure_convergence", "figure_ratios", "figure_table_one"),
     "plantsim.view.quality": ("figure_quality",),

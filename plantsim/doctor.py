@@ -25,7 +25,7 @@ DRIVERS = ("*/dri/swrast_dri.so", "*/libgallium*.so")  # what Mesa draws with, b
 DRIVER_PACKAGE = "libgl1-mesa-dri"
 CORE = ("numpy", "scipy", "scikit-fem", "gmsh", "meshio", "pyamg", "cvxpy", "typer")
 EXTRAS = {
-    "view": ("pyvista", "matplotlib", "viser", "imageio"),
+    "view": ("pyvista", "matplotlib", "viser", "imageio", "imageio-ffmpeg"),
     "io": ("h5py", "trimesh"),
     "fast": ("pypardiso", "manifold3d", "mmgpy", "pytetwild"),
     "docs": ("mkdocs-material", "mkdocstrings"),

@@ -57,13 +57,23 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+KINDS = {
+    ".png": "image/png",
+    ".gif": "image/gif",
+    ".svg": "image/svg+xml",
+    ".mp4": "video/mp4",
+}
+
+
 class Picture(type(Path())):
     """The path of a picture that was drawn; a notebook shows the picture itself."""
 
     def _repr_mimebundle_(self, **_: object) -> dict[str, str]:
-        kind = {".png": "image/png", ".gif": "image/gif"}.get(self.suffix.lower())
+        kind = KINDS.get(self.suffix.lower())
         if kind is None or not self.is_file():
             return {"text/plain": str(self)}
         code = base64.b64encode(self.read_bytes()).decode()
-        tag = f'<img style="max-width:100%" src="data:{kind};base64,{code}"/>'
+        element = "video controls loop autoplay muted" if kind == "video/mp4" else "img"
+        tag = f'<{element} style="max-width:100%" src="data:{kind};base64,{code}">'
+        tag += "</video>" if kind == "video/mp4" else ""
         return {"text/plain": str(self), "text/html": tag}

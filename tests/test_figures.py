@@ -1,5 +1,7 @@
 """Pictures hold what they should: counted by colour, in one style, the same every time."""
 
+import sys
+
 import matplotlib.image
 import numpy as np
 import pytest
@@ -18,13 +20,13 @@ def state(fork):
     return model.solve(ps.move(tip, (0.03, 0.0, -0.02)))
 
 
-def pixels(path, wanted):
+def pixels(path, wanted, along=0.97):
     """Return how many pixels point from black in nearly the direction of a colour."""
     picture = matplotlib.image.imread(path)[:, :, :3]
     colour = np.array([int(wanted[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     size = np.linalg.norm(picture, axis=2)
-    along = picture @ colour / np.maximum(size * np.linalg.norm(colour), 1e-9)
-    return int(((along > 0.97) & (size > 0.3)).sum())
+    cosine = picture @ colour / np.maximum(size * np.linalg.norm(colour), 1e-9)
+    return int(((cosine > along) & (size > 0.3)).sum())
 
 
 def test_deformation_with_contact_forces(state, tmp_path):
@@ -67,18 +69,36 @@ def test_gallery_has_a_place_for_each(state, tmp_path):
         ps.figure_gallery([], tmp_path / "b.png")
 
 
-def test_an_animation_moves_and_comes_back(state, tmp_path):
+@pytest.mark.parametrize(("kind", "element"), [("gif", "<img"), ("mp4", "<video")])
+def test_an_animation_moves_and_comes_back(state, tmp_path, kind, element):
     imageio = pytest.importorskip("imageio.v3")
+    pytest.importorskip("imageio_ffmpeg")
     contact = state.model.contact(state.moved)
     states = [contact.solve((0.015 * k, 0, -0.01 * k)) for k in range(1, 4)]
-    path = ps.animate_touch(states, tmp_path / "a.gif", size=(240, 240))
+    path = ps.animate_touch(states, tmp_path / f"a.{kind}", size=(240, 200))
     frames = imageio.imread(path)
-    assert len(frames) == 4  # 1 2 3 2, and again
+    assert frames.shape == (4, 200, 240, 3)  # 1 2 3 2, and again
     assert np.abs(frames[0].astype(int) - frames[2]).max() > 100
-    near = np.abs(frames[1].astype(int) - frames[3]).max()
-    assert near < 60  # but for the palette of the format
+    away = np.abs(frames[1].astype(int) - frames[3])
+    assert away.mean() < 1  # but for the palette of the one, the losses of the other
+    assert away.mean() < 0.2 * np.abs(frames[1].astype(int) - frames[2]).mean()
+    assert (frames[0][:3] > 250).all()  # white above: nothing is cut off
     html = path._repr_mimebundle_()["text/html"]
-    assert html.startswith("<img")
+    assert html.startswith(element)
+    if kind == "mp4":
+        told = imageio.immeta(path)
+        assert (told["codec"], told["fps"], told["duration"]) == ("h264", 20, 0.2)
+    with pytest.raises(ps.ModelError, match="even"):
+        ps.animate_touch(states, tmp_path / f"b.{kind}", size=(240, 201))
+    with pytest.raises(ps.FileError, match=".gif, .mp4"):
+        ps.animate_touch(states, tmp_path / "b.avi")
+
+
+def test_without_ffmpeg_a_film_says_what_to_do(state, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(ps.DependencyError, match=r"plantsim\[view\].*write a .gif"):
+        ps.animate_touch([state], tmp_path / "a.mp4")
+    assert not list(tmp_path.iterdir())
 
 
 def test_plots_are_the_same_every_time_and_as_asked_for(tmp_path):
@@ -133,9 +153,85 @@ def test_colours_are_told_apart_by_colour_blind_eyes(kind):
         assert (np.diff(light) > 0).all()
 
 
-def test_notebooks_show_values_as_cards(state, fork):
+@pytest.fixture(scope="module")
+def found(state):
+    """What two noisy touches of one branch tell of the three limbs."""
+    prior = state.model.with_material(ps.Material(6e9, 0.3, 900.0))
+    seen = ps.observe(
+        state.model,
+        ps.move(state.moved, (0.01, 0.0, -0.01)),
+        seen=np.arange(0, len(state.displacement), 50),
+        displacement_noise=1e-2,
+        force_noise=5.0,
+        feels="total",
+        rng=1,
+    )
+    return ps.estimate(prior, seen, parameters=ps.per_limb(moduli="young"))
+
+
+def test_every_value_of_the_chain_has_a_picture(state, found, tmp_path):
+    skeleton, mesh = ps.fork(0.3, 0.02), state.model.mesh
+    (touch,) = found.observations
+    drawn = {
+        "skeleton": skeleton.plot(tmp_path / "skeleton.png"),
+        "solid": ps.sweep(skeleton).plot(tmp_path / "solid.png"),
+        "mesh": mesh.plot(tmp_path / "mesh.png"),
+        "model": state.model.plot(tmp_path / "model.png"),
+        "state": state.plot(tmp_path / "state.png"),
+        "touch": touch.plot(mesh, tmp_path / "touch.png"),
+        "found": found.plot(tmp_path / "found.png", next_touch=state.moved[:1]),
+    }
+    bytes_of = {path.read_bytes() for path in drawn.values()}
+    assert len(bytes_of) == len(drawn)  # each shows something of its own
+    for limb in style.LIMBS[:3]:  # three limbs, three colours
+        assert pixels(drawn["solid"], limb, 0.95) > 500  # paler: it is seen through
+        assert pixels(drawn["mesh"], limb) > 500
+    assert pixels(drawn["solid"], "#e69f00", 0.99) == 0  # and no fourth
+    assert pixels(drawn["touch"], style.MOVED) > 50
+    assert pixels(drawn["touch"], style.CONTACT) > 50
+    assert pixels(drawn["touch"], style.BLUE) > 50
+    for path in drawn.values():
+        assert "<img" in path._repr_mimebundle_()["text/html"]
+    picture = matplotlib.image.imread(drawn["found"])
+    assert picture.shape[1] == 3 * picture.shape[0]  # estimate, uncertainty, identified
+    assert pixels(drawn["found"], style.MOVED) > 30
+    with pytest.raises(ps.ModelError, match="mesh that was touched"):
+        touch.plot(ps.tetrahedralize(ps.sweep(skeleton), 2.0, order=1), tmp_path / "a.png")
+
+
+def test_what_a_picture_of_an_estimate_shows(found):
+    prior, now = found.posterior.tets
+    assert np.array_equal(now, found.tet_std)
+    region = np.asarray(found.model.mesh.region)
+    share = 1 - (now / prior) ** 2
+    for limb, known in enumerate(found.identified.values()):
+        assert share[region == limb] == pytest.approx(known, abs=1e-6)
+    assert np.ptp(share) > 0.05  # the branch that nobody touched is less known
+
+
+def test_plots_of_one_value_are_vectors_too(fork, tmp_path):
     skeleton = ps.fork(0.3, 0.02)
-    values = (skeleton, fork, state.model.material, state.model, state)
+    for make in (skeleton.plot, lambda out: ps.figure_quality(fork, out)):
+        one, two = make(tmp_path / "a.svg"), make(tmp_path / "b.svg")
+        assert one.read_bytes() == two.read_bytes()
+        assert one.read_text().lstrip().startswith("<?xml")
+        assert make(tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+        with pytest.raises(ps.FileError, match=".svg"):
+            make(tmp_path / "a.jpg")
+
+
+def test_notebooks_show_values_as_cards(state, fork, found):
+    skeleton = ps.fork(0.3, 0.02)
+    values = (
+        skeleton,
+        ps.sweep(skeleton),
+        fork,
+        state.model.material,
+        state.model,
+        state,
+        *found.observations,
+        found,
+    )
     for value in values:
         html = value._repr_html_()
         assert type(value).__name__ in html

@@ -17,7 +17,7 @@ HOMES = {
     "skfem": {"elastic/stiffness.py"},
     "cvxpy": {"estimation/force_balance.py"},
     "h5py": {"hdf5.py"},
-    "pyvista": {"view/figures.py"},
+    "pyvista": {"view/scenes.py"},
     "trimesh": {"mesh/surfaces.py"},
     "viser": {"view/app.py"},
     "typer": {"cli"},  # a folder

@@ -1,11 +1,14 @@
 """estimate: observations -> Estimate, by the method asked for."""
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, Random
 from plantsim.cards import card
@@ -90,6 +93,26 @@ class Estimate:
         return tuple(
             _material(theta, self.material.density)
             for theta in self.posterior.sample(n, rng)
+        )
+
+    def plot(
+        self, out: str | os.PathLike[str] = "estimate.png", *, next_touch: ArrayLike = ()
+    ) -> Path:
+        """Draw Young's modulus, its uncertainty and what was identified to a PNG.
+
+        Of force balance, which knows no uncertainty, the modulus alone. `next_touch`: ids
+        of vertices to touch next, in red. Returns the path.
+        """
+        # a picture is the only call that goes up, through this one door
+        from plantsim.view.figures import figure_material, figure_posterior  # noqa: PLC0415
+
+        mesh = self.model.mesh
+        young = np.broadcast_to(self.material.young / 1e9, (len(mesh.tets),))
+        if self._objective is None:
+            return figure_material(mesh, young, out, marks=next_touch)
+        prior, now = (s * young for s in self.posterior.tets)
+        return figure_posterior(
+            mesh, young, now, out, prior_std=prior, next_touch=next_touch
         )
 
     _repr_html_ = card  # what a notebook shows

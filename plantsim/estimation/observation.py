@@ -1,6 +1,8 @@
 """Observation: what a robot saw and felt in one touch; and its simulation."""
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from plantsim.elastic.loads import Load, Move
 from plantsim.elastic.model import ElasticModel
 from plantsim.elastic.statics import gathered
 from plantsim.errors import EstimateError
+from plantsim.mesh.tetmesh import TetMesh
 from plantsim.touch.grasp import Grasp
 
 _NOTHING: tuple[()] = ()
@@ -110,6 +113,18 @@ class Observation:
         if noise.ndim == 1 and len(shape) == 2:
             noise = noise[:, None]
         return np.broadcast_to(noise, shape)
+
+    def plot(
+        self, mesh: TetMesh, out: str | os.PathLike[str] = "touch.png", **options: Any
+    ) -> Path:
+        """Draw the touch on the mesh that it names vertices of, to a PNG; return its path.
+
+        Options as of `ps.figure_touch`.
+        """
+        # a picture is the only call that goes up, through this one door
+        from plantsim.view.figures import figure_touch  # noqa: PLC0415
+
+        return figure_touch(mesh, self, out, **options)
 
     _repr_html_ = card  # what a notebook shows
 

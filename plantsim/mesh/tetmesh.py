@@ -259,7 +259,7 @@ class TetMesh:
 
         return size_report(self)
 
-    def plot(self, out: str | os.PathLike[str]) -> Path:
+    def plot(self, out: str | os.PathLike[str] = "mesh.png") -> Path:
         """Draw the mesh, limbs in colours, to a PNG; return its path."""
         # a picture is the only call that goes up, through this one door
         from plantsim.view.figures import figure_mesh  # noqa: PLC0415

@@ -1,7 +1,9 @@
 """Skeleton -> Solid: an immutable recipe of swept limbs, bends and joints checked."""
 
+import os
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
@@ -10,6 +12,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array, few, frozen
+from plantsim.cards import card
 from plantsim.errors import GeometryError
 from plantsim.plant.skeleton import Limb, Skeleton
 
@@ -272,6 +275,15 @@ class Solid:
                 ),
             )
         )
+
+    def plot(self, out: str | os.PathLike[str] = "solid.png") -> Path:
+        """Draw the tubes to a PNG; return its path."""
+        # a picture is the only call that goes up, through this one door
+        from plantsim.view.figures import figure_solid  # noqa: PLC0415
+
+        return figure_solid(self, out)
+
+    _repr_html_ = card  # what a notebook shows
 
     def __repr__(self) -> str:
         thin = min(t.radii.min() for t in self.tubes)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.view.skeletons import blank_figure, saved
+from plantsim.view.style import blank_figure, saved
 
 BAR = "#6f8f45"
 WIDE = 30.0  # largest over smallest value from which the axis is logarithmic

@@ -2,18 +2,14 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.errors import ModelError
-from plantsim.paths import Picture, replacing, writable
-from plantsim.view.skeletons import blank_figure
-from plantsim.view.style import styled
+from plantsim.view.style import blank_figure, saved, styled
 
-FORMATS = (".png", ".svg", ".pdf")
 # Source: Yao and Hauser, Generating and Estimating Linear FEM Plant Simulation Models,
 # table I: shots; visual error [cm]; tactile error [N]
 PAPER = ((0, 1, 5, 10), (1.61, 1.60, 1.08, 1.07), (13.411, 13.394, 9.330, 6.733))
@@ -108,16 +104,6 @@ def figure_ratios(
         axes.set_xlabel(xlabel)
         figure.tight_layout()
         return figure if out is None else saved(figure, out)
-
-
-def saved(figure: Any, out: str | os.PathLike[str]) -> Path:
-    """Write a matplotlib figure as .png, .svg or .pdf, the same bytes each time."""
-    path = writable(out, *FORMATS)
-    kind = path.suffix.lower()[1:]
-    stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-    with replacing(path) as temporary, styled():
-        figure.savefig(temporary, dpi=150, format=kind, metadata=stamp)
-    return Picture(path)
 
 
 def _line(axes: Any, name: str, x: ArrayLike, y: ArrayLike) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from plantsim.mesh.tetmesh import TetMesh
-from plantsim.view.skeletons import blank_figure, saved
+from plantsim.view.style import blank_figure, saved
 
 BINS = np.linspace(0, 1, 41)
 
@@ -14,7 +14,7 @@ BINS = np.linspace(0, 1, 41)
 def figure_quality(mesh: TetMesh, out: str | os.PathLike[str] | None = None) -> Any:
     """Draw the histogram of gamma (1: regular, 0: flat), the worst tet marked.
 
-    With `out` it writes a PNG and returns its path; else it returns a matplotlib Figure.
+    With `out` (.png, .svg or .pdf) it returns the path, else the matplotlib Figure.
     Raises DependencyError where matplotlib is not installed.
     """
     figure = blank_figure(6.4, 4.0)

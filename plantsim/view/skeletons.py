@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.errors import needs
-from plantsim.paths import replacing
 from plantsim.plant.skeleton import Skeleton
+from plantsim.view.style import GREEN, VERMILION, blank_figure, saved
 
 BARK = ("#5b4636", "#8a6d4d", "#6f8f45", "#93b35a")  # by level
-LEAF, FRUIT = "#4c9a2a", "#c8342b"
+LEAF, FRUIT = GREEN, VERMILION
 SLICES = 6  # pieces that an interval of the axis is drawn in
 
 
@@ -22,7 +21,7 @@ def figure_skeleton(
 ) -> Any:
     """Draw a skeleton from the side, limbs as thick as they are, with what hangs on it.
 
-    With `out` it writes a PNG and returns its path; else it returns a matplotlib Figure.
+    With `out` (.png, .svg or .pdf) it returns the path, else the matplotlib Figure.
     Raises DependencyError where matplotlib is not installed.
     """
     figure = blank_figure(6.4, 7.2)
@@ -53,23 +52,6 @@ def contact_sheet(
         axes.tick_params(labelsize=7)
     figure.tight_layout()
     return saved(figure, out)
-
-
-def blank_figure(width: float, height: float) -> Any:
-    """Return a white matplotlib figure, inches; DependencyError without matplotlib."""
-    canvas: Any = needs("matplotlib.backends.backend_agg", "view")
-    drawing: Any = needs("matplotlib.figure", "view")
-    figure = drawing.Figure(figsize=(width, height), facecolor="white")
-    canvas.FigureCanvasAgg(figure)  # no window, whatever the backend
-    return figure
-
-
-def saved(figure: Any, out: str | os.PathLike[str]) -> Path:
-    """Write a figure to a PNG, whole or not at all; return its path."""
-    path = Path(out)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=130, format="png")
-    return path
 
 
 def _draw(axes: Any, skeleton: Skeleton) -> None:

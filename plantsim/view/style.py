@@ -1,7 +1,9 @@
 """One style for every picture: colours that colour-blind eyes tell apart, lines, bars."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array
 from plantsim.errors import needs
+from plantsim.paths import Picture, replacing, writable
 
 # Source: Okabe and Ito, Color Universal Design, 2008 (jfly.uni-koeln.de/color)
 BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
@@ -20,6 +23,7 @@ REST, DEFORMED = "#000000", "#9a9a9a"  # the paper's Figure 1
 MOVED, CONTACT = "#e31a1c", "#1b9e4b"
 # perceptually even and monotone in lightness, so that they survive a grey print
 STIFFNESS, UNCERTAINTY, STRESS = "viridis", "cividis", "plasma"
+FORMATS = (".png", ".svg", ".pdf")  # of plots
 _SETTINGS: dict[str, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -48,6 +52,25 @@ def styled() -> Iterator[Any]:
     }
     with mpl.rc_context(settings):
         yield mpl
+
+
+def blank_figure(width: float, height: float) -> Any:
+    """Return a white matplotlib figure, inches; DependencyError without matplotlib."""
+    canvas: Any = needs("matplotlib.backends.backend_agg", "view")
+    drawing: Any = needs("matplotlib.figure", "view")
+    figure = drawing.Figure(figsize=(width, height), facecolor="white")
+    canvas.FigureCanvasAgg(figure)  # no window, whatever the backend
+    return figure
+
+
+def saved(figure: Any, out: str | os.PathLike[str]) -> Path:
+    """Write a matplotlib figure as .png, .svg or .pdf, the same bytes each time."""
+    path = writable(out, *FORMATS)
+    kind = path.suffix.lower()[1:]
+    stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    with replacing(path) as temporary, styled():
+        figure.savefig(temporary, dpi=150, format=kind, metadata=stamp)
+    return Picture(path)
 
 
 def colours(
