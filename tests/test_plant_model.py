@@ -224,6 +224,11 @@ def test_several_trunks_stand_apart_and_one_is_made_ready():
         ({"tropism": (0, 0)}, "tropism"),
         ({"flare": float("nan")}, "flare"),
         ({"rules": "mine"}, "rules"),
+        ({"source": 5}, "source"),
+        ({"curve_res": (2.5, 3, 3, 1)}, "curve_res"),
+        ({"z_scale": 0}, "z_scale"),
+        ({"lobes": 2.5}, "lobes"),
+        ({"lobe_depth": 1}, "lobe_depth"),
     ],
 )
 def test_a_wrong_value_is_named_with_what_is_allowed(values, words):
@@ -234,6 +239,39 @@ def test_a_wrong_value_is_named_with_what_is_allowed(values, words):
 def test_unknown_names_suggest_the_nearest():
     with pytest.raises(ps.GeometryError, match="did you mean ratio_power"):
         WeberPenn.from_mapping({"ratio_powr": 1.2})
+
+
+def test_wrong_numbers_of_trunks_are_refused_and_right_ones_kept():
+    for wrong in ("many", -1, 2.5, True):
+        with pytest.raises(ps.GeometryError, match="floor_splits is"):
+            WeberPenn.from_mapping({"floor_splits": wrong})
+    assert WeberPenn.from_mapping({"floor_splits": 3}).branches[0] == 4
+    own = WeberPenn.from_mapping({"floor_splits": 3, "branches": [0, 9, 0, 0]})
+    assert own.branches == (4, 9, 0, 0)
+
+
+def test_a_mapping_of_the_program_leaves_out_what_it_leaves_out_there():
+    theirs = WeberPenn.from_mapping({"g_scale": 10, "levels": 2})
+    assert theirs.bend_v == (0, 50, 0, 0)
+    assert theirs.base_size == (0.3, 0.02, 0.02, 0.02)
+    assert not theirs.published
+    assert WeberPenn.from_mapping({"scale": 10, "levels": 2}).published
+
+
+PUBLISHED = {  # by two copies: scale, levels, ratio_power, lobes, branches
+    "quaking_aspen": (13, 3, 1.2, 5, (50, 30, 10)),
+    "black_tupelo": (23, 4, 1.3, 3, (50, 25, 12)),
+    "weeping_willow": (15, 4, 2.0, 9, (25, 10, 300)),
+    "california_black_oak": (10, 3, 1.3, 5, (40, 120, 0)),
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_species_have_the_published_values(name):
+    m = ps.species(name)
+    found = (m.scale, m.levels, m.ratio_power, m.lobes, m.branches[1:])
+    assert found == PUBLISHED[name]
+    assert m.published
 
 
 @pytest.mark.parametrize("name", SPECIES)
@@ -249,7 +287,7 @@ def test_bad_toml_says_where(tmp_path):
     with pytest.raises(ps.FileError, match="line 2"):
         WeberPenn.read(file)
     file.write_text("shape = 12\n")
-    with pytest.raises(ps.FileError, match=r"bad.toml: shape is 12: allowed is"):
+    with pytest.raises(ps.FileError, match=r"bad.toml, line 1: shape is 12: allowed is"):
         WeberPenn.read(file)
 
 

@@ -1,7 +1,14 @@
-"""Cylinder tables of quantitative structure models <-> Skeleton."""
+"""Cylinder tables of quantitative structure models <-> Skeleton.
+
+Read are those of TreeQSM (cylinder_*.txt since version 2.4: tabs, thirteen headings over
+seventeen columns; before, cyl_data_*.txt without headings), of SimpleForest (.csv, which
+CanoPyHydro, the companion of pyQSM, reads too), of PyTLidar, aRchi and rTwig, and ours.
+"""
 
 import csv
 import io
+from collections.abc import Sequence
+from itertools import islice
 
 import numpy as np
 
@@ -15,7 +22,7 @@ COLUMNS = (
 ).split(",")
 # names that programs give them, without case, units, underscores and blanks
 ALIASES = {
-    "radius": ("radius", "r", "radiusm"),
+    "radius": ("radius", "r", "radiusm", "radiuscyl"),
     "length": ("length", "lengthm", "len"),
     "start_x": (
         "startx",
@@ -34,14 +41,17 @@ ALIASES = {
     "end_x": ("endx", "end1", "x1", "xend"),
     "end_y": ("endy", "end2", "y1", "yend"),
     "end_z": ("endz", "end3", "z1", "zend"),
-    "parent": ("parent", "parentid", "parentcylinder", "parentcylinderid"),
+    "parent": ("parent", "parentid", "parentcyl", "parentcylinder", "parentcylinderid"),
+    "extension": ("extension", "extensionid", "extensioncyl"),
     "id": ("id", "cylinderid", "cylid", "index"),
-    "branch": ("branch", "branchid"),
-    "branch_order": ("branchorder", "order"),
+    "branch": ("branch", "branchid", "axisid"),
+    "branch_order": ("branchorder", "branchingorder", "order"),
     "position_in_branch": ("positioninbranch", "position"),
     "start_radius": ("startradius",),
     "end_radius": ("endradius",),
 }
+BARE = COLUMNS[:10]  # what TreeQSM writes first where it names no columns
+TRIPLE = ("startpoint", "axisdirection")
 NEEDED = ("radius", "start_x", "start_y", "start_z", "parent")
 
 
@@ -83,24 +93,22 @@ def write_cylinders(skeleton: Skeleton) -> str:
 
 def read_cylinders(text: str, name: str) -> Skeleton:
     """Return the skeleton in a table of cylinders; FileError gives the line."""
-    mark = max(",;\t", key=text.split("\n", 1)[0].count)
-    rows = list(csv.reader(io.StringIO(text), delimiter=mark))
-    column = _header(rows[0] if rows else [], name)
+    head, rows = _rows(text)
+    column = _header(head, name)
     values: dict[str, list[float]] = {key: [] for key in column}
     lines = []
-    for number, row in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in row):
-            continue
+    for number, row in rows:
         for key, i in column.items():
             try:
                 value = float(row[i])
             except (ValueError, IndexError):
                 value = np.nan
-            if not np.isfinite(value):
-                got = row[i] if i < len(row) else "nothing"
+            whole = key not in ("parent", "extension", "id") or value % 1 == 0
+            if not np.isfinite(value) or not whole:
+                got = row[i].strip()[:40] if i < len(row) else "nothing"
                 raise FileError(
-                    f"{name}, line {number}: {rows[0][i].strip()} is {got!r}; expected a "
-                    "number. Mend that line."
+                    f"{name}, line {number}: {head[i].strip() or key} is {got!r}; expected "
+                    f"a {'' if key in BARE[:8] else 'whole '}number. Mend that line."
                 )
             values[key].append(value)
         lines.append(number)
@@ -114,6 +122,7 @@ def read_cylinders(text: str, name: str) -> Skeleton:
             "than 0 m. Drop that cylinder."
         )
     parent = _parents(data, lines, name)
+    after = _successors(data)
     start = np.stack([data[f"start_{k}"] for k in "xyz"], axis=1)
     if "end_x" in data:
         end = np.stack([data[f"end_{k}"] for k in "xyz"], axis=1)
@@ -127,12 +136,54 @@ def read_cylinders(text: str, name: str) -> Skeleton:
                 f"length {size[bad[0]]}; expected more than 0. Drop that cylinder."
             )
         end = start + axis * (data["length"] / size)[:, None]
-    return _chained(data, parent, start, end)
+    bad = np.flatnonzero((start == end).all(axis=1))
+    if len(bad):
+        raise FileError(
+            f"{name}, line {lines[bad[0]]}: starts where it ends; expected a length above "
+            "0. Drop that cylinder."
+        )
+    return _chained(data, parent, after, start, end)
 
 
-def _header(cells: list[str], name: str) -> dict[str, int]:
+def _rows(text: str) -> tuple[Sequence[str], list[tuple[int, list[str]]]]:
+    """Return the headings, and the other rows with their line numbers."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    mark = max(",;\t", key=first.count)
+    if first.count(mark):
+        reader = csv.reader(io.StringIO(text), delimiter=mark)
+        rows = [(reader.line_num, row) for row in reader]
+    else:  # blanks
+        rows = list(enumerate((line.split() for line in text.splitlines()), start=1))
+    rows = [(n, row) for n, row in rows if any(cell.strip() for cell in row)]
+    head = rows[0][1] if rows else []
+    if len(head) >= len(BARE) and all(_number(cell) for cell in head):
+        return list(BARE), rows
+    width = max((len(row) for _, row in islice(rows, 1, 2)), default=0)
+    if width == len(head) + 4:  # TreeQSM: start_point and axis_direction have three each
+        head = [
+            c
+            for cell in head
+            for c in ([cell, "", ""] if _plain(cell) in TRIPLE else [cell])
+        ]
+    return head, rows[1:]
+
+
+def _number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _plain(cell: str) -> str:
+    """Return a heading without case, unit, underscores and blanks."""
+    return "".join(c for c in cell.lower().split("(")[0] if c.isalnum())
+
+
+def _header(cells: Sequence[str], name: str) -> dict[str, int]:
     """Return the place of every column that is known."""
-    plain = ["".join(c for c in t.lower().split("(")[0] if c.isalnum()) for t in cells]
+    plain = [_plain(cell) for cell in cells]
     found = {}
     for key, names in ALIASES.items():
         for alias in names:
@@ -161,6 +212,14 @@ def _parents(data: dict[str, Array], lines: list[int], name: str) -> Array:
     many = len(lines)
     raw = data["parent"].astype(int)
     if "id" in data:
+        ids, count = np.unique(data["id"], return_counts=True)
+        if (count > 1).any():
+            twice = data["id"] == ids[count > 1][0]
+            first, again = np.flatnonzero(twice)[:2]
+            raise FileError(
+                f"{name}, line {lines[again]}: id {data['id'][again]:g} is that of line "
+                f"{lines[first]} too; expected each once. Renumber one."
+            )
         place = {int(v): i for i, v in enumerate(data["id"])}
         parent = np.array([place.get(int(v), -1) for v in raw])
         lost = np.flatnonzero((parent < 0) & (raw > 0) & (raw != data["id"]))
@@ -189,8 +248,28 @@ def _parents(data: dict[str, Array], lines: list[int], name: str) -> Array:
     return parent
 
 
-def _chained(data: dict[str, Array], parent: Array, start: Array, end: Array) -> Skeleton:
-    """Return the skeleton of cylinders in chains: by branch, else by the thickest child."""
+def _successors(data: dict[str, Array]) -> Array | None:
+    """Return the row in which each cylinder's branch goes on, -1 for none, if told."""
+    if "branch" in data or "extension" not in data:
+        return None
+    raw = data["extension"].astype(int)
+    if "id" in data:
+        place = {int(v): i for i, v in enumerate(data["id"])}
+        return np.array([place.get(int(v), -1) for v in raw])
+    return raw if (data["parent"] < 0).any() else raw - 1
+
+
+def _chained(
+    data: dict[str, Array],
+    parent: Array,
+    after: Array | None,
+    start: Array,
+    end: Array,
+) -> Skeleton:
+    """Return the skeleton of cylinders in chains.
+
+    By branch, else by `after`, the row in which it goes on, else by the thickest child.
+    """
     many = len(parent)
     children: dict[int, list[int]] = {}
     for i in range(many):
@@ -208,6 +287,8 @@ def _chained(data: dict[str, Array], parent: Array, start: Array, end: Array) ->
         while nexts := children.get(chain[-1]):
             if branch is not None:
                 own = [i for i in nexts if branch[i] == branch[chain[-1]]]
+            elif after is not None:
+                own = [i for i in nexts if after[chain[-1]] == i]
             else:
                 own = [max(nexts, key=lambda i: data["radius"][i])]
             order += [(i, len(limbs)) for i in nexts if i not in own[:1]]

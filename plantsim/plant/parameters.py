@@ -2,9 +2,10 @@
 
 import difflib
 import os
+import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import Field, dataclass, fields, replace
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
@@ -19,6 +20,14 @@ LEVELS = 4  # deeper levels reuse the values of the last
 Four = tuple[float, float, float, float]
 Rules = Literal["auto", "published", "tree-gen"]
 TREE_GEN = {"g_scale": "scale", "g_scale_v": "scale_v"}  # that program's other names
+# what that program takes where a file of its own leaves a name out, if not as we do
+TREE_GEN_DEFAULTS: dict[str, Any] = {
+    "base_size": (0.3, 0.02, 0.02, 0.02),
+    "curve_res": (5, 5, 3, 1),
+    "split_angle": (40.0, 0.0, 0.0, 0.0),
+    "split_angle_v": (5.0, 0.0, 0.0, 0.0),
+    "bend_v": (0.0, 50.0, 0.0, 0.0),
+}
 FOLIAGE = ("leaf_", "blossom_", "leaves", "bevel_res")  # pictures only, no stems
 RULES = ("auto", "published", "tree-gen")
 
@@ -54,6 +63,10 @@ class WeberPenn:
     base_splits: int = 0
     scale0: float = 1.0  # "0Scale": trunk thickness
     scale0_v: float = 0.0
+    z_scale: float = 1.0  # all heights times this
+    z_scale_v: float = 0.0
+    lobes: int = 0  # of the trunk's section, which stays round: docs/plants.md
+    lobe_depth: float = 0.0  # their amplitude over the radius
     attraction_up: float = 0.5
     length: Four = (1.0, 0.3, 0.6, 0.0)
     length_v: Four = (0.0, 0.0, 0.0, 0.0)
@@ -84,30 +97,14 @@ class WeberPenn:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            if f.name in ("rules", "source"):
-                continue
-            value = getattr(self, f.name)
-            if f.name == "tropism":
-                if value is not None:
-                    object.__setattr__(self, f.name, _numbers(f.name, value, 3, 3))
-            elif f.name == "base_size":
-                several = np.ndim(value) > 0
-                numbers = _numbers(f.name, value, 1, LEVELS)
-                object.__setattr__(self, f.name, numbers if several else numbers[0])
-            elif isinstance(f.default, tuple):
-                object.__setattr__(self, f.name, _numbers(f.name, value, 1, LEVELS))
-            else:
-                object.__setattr__(self, f.name, _numbers(f.name, value, 1, 1)[0])
-            number = getattr(self, f.name)
-            if isinstance(number, float) and number.is_integer() and f.type is int:
-                object.__setattr__(self, f.name, int(number))
+            if f.name not in ("rules", "source"):
+                value = _whole(_checked(f, getattr(self, f.name)), f.type is int)
+                object.__setattr__(self, f.name, value)
         for name, good, want in _allowed(self):
             if not good:
                 raise GeometryError(
                     f"{name} is {getattr(self, name)!r}: allowed is {want}."
                 )
-        if self.rules not in RULES:
-            raise GeometryError(f"rules is {self.rules!r}: allowed is {', '.join(RULES)}.")
 
     @cached_property
     def published(self) -> bool:
@@ -137,13 +134,19 @@ class WeberPenn:
     def from_mapping(cls, values: Mapping[str, Any]) -> Self:
         """Return the parameters in a mapping, by our names or tree-gen's.
 
-        `g_scale` and `g_scale_v` are taken as `scale` and `scale_v`, `floor_splits` adds to
-        `branches[0]`, and what is for pictures only (leaves, blossoms, bevels) is passed
-        over. Raises GeometryError on a name that is not known, with the nearest that is.
+        `g_scale` and `g_scale_v` are taken as `scale` and `scale_v`, `floor_splits` as so
+        many trunks more than one, and what is for pictures only (leaves, blossoms, bevels)
+        is passed over. A mapping with `g_scale` is that program's own: what it leaves out
+        is as there. Raises GeometryError on a name that is not known, with the nearest that
+        is.
         """
         known = {f.name for f in fields(cls)}
-        out: dict[str, Any] = {}
-        trunks = 1 + int(values.get("floor_splits", 0))
+        out: dict[str, Any] = dict(TREE_GEN_DEFAULTS) if "g_scale" in values else {}
+        extra = values.get("floor_splits", 0)
+        if isinstance(extra, bool) or extra not in range(100):
+            raise GeometryError(
+                f"floor_splits is {extra!r}: allowed is a whole number from 0 to 99."
+            )
         for name, value in values.items():
             own = TREE_GEN.get(name, name)
             if own in known:
@@ -155,22 +158,28 @@ class WeberPenn:
                     f"{name} is not a parameter of the model{hint} There are: "
                     f"{', '.join(sorted(known))}."
                 )
-        if trunks > 1 and "branches" in out:
-            out["branches"] = (trunks, *out["branches"][1:])
-        return cls(**out)
+        found = cls(**out)
+        if extra:
+            found = found.with_(branches=(1 + int(extra), *found.branches[1:]))
+        return found
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
         """Return the parameters in a TOML file; FileError says what is wrong in it."""
         file = existing(path)
         try:
-            values = tomllib.loads(file.read_text(encoding="utf-8"))
+            text = file.read_text(encoding="utf-8-sig")
+            values = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as why:
             raise FileError(f"{file}: not TOML ({why}). Mend that line.") from None
         try:
             return cls.from_mapping(values)
         except GeometryError as why:
-            raise FileError(f"{file}: {why}") from None
+            name = str(why).split(" ", 1)[0]
+            names = "|".join([name, *(k for k, v in TREE_GEN.items() if v == name)])
+            here = re.search(rf"^[ \t\[]*(?:{names})\b", text, re.MULTILINE)
+            line = f", line {text.count(chr(10), 0, here.start()) + 1}" if here else ""
+            raise FileError(f"{file}{line}: {why}") from None
 
     def write(self, path: str | os.PathLike[str]) -> Path:
         """Write the parameters to a TOML file that `read` takes; return its path."""
@@ -191,6 +200,21 @@ def _toml(value: Any) -> str:
         text = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
         return f'"{text}"'
     return repr(value)
+
+
+def _checked(f: Field[Any], value: Any) -> Any:
+    """Return a field's number, or its numbers as a tuple."""
+    if f.name == "tropism":
+        return None if value is None else _numbers(f.name, value, 3, 3)
+    if isinstance(f.default, tuple) or (f.name == "base_size" and np.ndim(value) > 0):
+        return _numbers(f.name, value, 1, LEVELS)
+    return _numbers(f.name, value, 1, 1)[0]
+
+
+def _whole(value: Any, wanted: bool) -> Any:
+    """Return 3 for 3.0 where a whole number is wanted."""
+    good = wanted and isinstance(value, float) and value.is_integer()
+    return int(value) if good else value
 
 
 def _numbers(name: str, value: Any, least: int, most: int) -> tuple[Any, ...]:
@@ -214,6 +238,8 @@ def _allowed(m: WeberPenn) -> list[tuple[str, bool, str]]:
     """Return (name, whether its value is allowed, what is allowed)."""
     used = range(min(m.levels if isinstance(m.levels, int) else 1, LEVELS))
     return [
+        ("rules", m.rules in RULES, ", ".join(RULES)),
+        ("source", isinstance(m.source, str), "a text"),
         ("shape", m.shape in range(9), "a whole number from 0 to 8"),
         ("scale", m.scale > 0, "more than 0 m"),
         ("scale_v", 0 <= m.scale_v < m.scale, "from 0 to below scale"),
@@ -225,14 +251,18 @@ def _allowed(m: WeberPenn) -> list[tuple[str, bool, str]]:
         ("base_splits", isinstance(m.base_splits, int), "a whole number"),
         ("scale0", m.scale0 > 0, "more than 0"),
         ("scale0_v", 0 <= m.scale0_v < m.scale0, "from 0 to below scale0"),
+        ("z_scale", m.z_scale > 0, "more than 0"),
+        ("z_scale_v", 0 <= m.z_scale_v < m.z_scale, "from 0 to below z_scale"),
+        ("lobes", m.lobes in range(100), "a whole number from 0 to 99"),
+        ("lobe_depth", 0 <= m.lobe_depth < 1, "from 0 to below 1"),
         ("length", m.length[0] > 0 and min(m.length) >= 0, "0 or more, the trunk's above"),
         ("length_v", abs(m.length_v[0]) < m.length[0], "below length for the trunk"),
         ("taper", all(0 <= t <= 3 for t in m.taper), "from 0 to 3"),
         ("branches", 0 <= m.branches[0] <= 100, "at most 100 trunks (0 stands for 1)"),
         (
             "curve_res",
-            all(m.curve_res[i] >= 1 for i in used),
-            "1 or more at every level that is grown",
+            all(m.curve_res[i] in range(1, 1001) for i in used),
+            "a whole number from 1 to 1000 at every level that is grown",
         ),
         ("seg_splits", all(0 <= s <= 10 for s in m.seg_splits), "from 0 to 10"),
         ("curve_v", all(v > -90 for v in m.curve_v), "above -90 (negative: a helix)"),

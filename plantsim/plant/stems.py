@@ -67,6 +67,7 @@ class Stems:
     offset: Array  # (m,) where a stem sits on its parent [m]
     whole: Array  # (m,) length [m] of the whole stem, which clones have too
     size: Array  # (m,) radius [m] at the foot of the whole stem
+    free: Array  # (m,) that radius were it not capped at the parent's
     longest: Array  # (m,) children's length as a share of this one's
     start: Array  # (m,) int, segment at which a clone begins; 0 for the others
     origin: Array  # (m,) row of the stem that a clone splits from, else -1
@@ -78,6 +79,7 @@ class Stems:
     side: Array  # (m, segments, 3) local y of each segment
     helix: Helix | None = None
     spared: int = 0  # stems of this level that got no course, see `grow_level`
+    stretch: float = 1.0  # of the whole tree's heights (ZScale); the trunks'
 
     def at(self, row: Array, t: Array) -> tuple[Array, Array]:
         """Return points and tangents (.., 3) of stems at t in segments from the foot."""
@@ -113,18 +115,7 @@ def grow_level(
     n = min(level, LEVELS - 1)
     segments = max(1, int(m.curve_res[n]))
     many = len(start)
-    rows = np.arange(many)
-    split = None
-    if m.curve_v[n] >= 0 and (m.seg_splits[n] > 0 or (level == 0 and m.base_splits > 0)):
-        split = Splits(m, rng, level, segments)
-        for _ in range(many):
-            split.add(0, -1, 0, 0)
-        for row in range(many):
-            split.walk(row, 0, 1.0, 1.0)
-        root = list(range(many))
-        for origin in split.origin[many:]:
-            root.append(root[origin])
-        rows = np.array(root)
+    split, rows = _split(m, rng, level, many, segments)
     clones = Clones(np.array(split.number), np.array(split.count)) if split else None
     stems = replace(
         seed,
@@ -133,6 +124,7 @@ def grow_level(
         offset=seed.offset[rows],
         whole=seed.whole[rows],
         size=seed.size[rows],
+        free=seed.free[rows],
         longest=seed.longest[rows],
         base=seed.base[rows],
         height=seed.height[rows],
@@ -154,7 +146,11 @@ def grow_level(
     stems = replace(stems, side=ways.y)
     keep = np.ones(len(rows), dtype=bool)
     if m.prune_ratio > 0:
-        stems, keep = _fitted(m, stems, start, ways.z)
+        reach = np.cumsum(ways.z[stems.origin < 0], axis=1) / segments
+        if level == 0 and not m.published:
+            reach = _other_course(m, rng, seed, frames, segments)
+        reach = reach[:, -1:] if _tip_alone(m, level) else reach
+        stems, keep, _ = _fitted(m, stems, start, reach)
     if not keep.all():
         stems = picked_stems(stems, keep, np.cumsum(keep) - 1)
         ways = ways.picked(keep)
@@ -164,8 +160,14 @@ def grow_level(
 
 def picked_stems(stems: Stems, keep: Array, new: Array, up: Array | None = None) -> Stems:
     """Return the stems in a mask; `new` and `up`: new rows of origins and of parents."""
-    names = ["parent", "offset", "whole", "size", "longest", "base", "height", "start"]
-    names += ["origin", "share", "side", *(("nodes", "bend") if stems.nodes.size else ())]
+    names = ["parent", "offset", "whole", "size", "free", "longest", "base", "height"]
+    names += [
+        "start",
+        "origin",
+        "share",
+        "side",
+        *(("nodes", "bend") if stems.nodes.size else ()),
+    ]
     values: dict[str, Any] = {k: getattr(stems, k)[keep] for k in names}
     values["origin"] = np.where(values["origin"] < 0, -1, new[values["origin"]])
     if up is not None:
@@ -234,13 +236,63 @@ def _attracted(m: WeberPenn, level: int, segments: int, f: Frames) -> Frames:
     return towards(f, pull, np.radians(10.0)) if pull.any() else f
 
 
-def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stems, Array]:
-    """Shorten stems to the pruning envelope; (stems, a mask of those that stay)."""
-    segments = stems.segments
+def _split(
+    m: WeberPenn, rng: np.random.Generator, level: int, many: int, segments: int
+) -> tuple[Splits | None, Array]:
+    """Return where stems split, and of all, clones last, the row of the one they are of."""
+    n = min(level, LEVELS - 1)
+    never = m.seg_splits[n] == 0 and (level > 0 or m.base_splits <= 0)
+    if m.curve_v[n] < 0 or never:
+        return None, np.arange(many)
+    split = Splits(m, rng, level, segments)
+    for _ in range(many):
+        split.add(0, -1, 0, 0)
+    for row in range(many):
+        split.walk(row, 0, 1.0, 1.0)
+    root = list(range(many))
+    for origin in split.origin[many:]:
+        root.append(root[origin])
+    return split, np.array(root)
+
+
+def _tip_alone(m: WeberPenn, level: int) -> bool:
+    """Return whether only the tip must be inside the envelope: of trunks, bare below."""
+    return level == 0 and m.bare[0] > 0
+
+
+def _other_course(
+    m: WeberPenn, rng: np.random.Generator, seed: Stems, frames: Frames, segments: int
+) -> Array:
+    """Return the ends of segments of trunks of length 1 m as the program tests them.
+
+    It fits a trunk by other random numbers than it then grows it by, and with fewer splits
+    at the base.
+    """
+    bases = int(rng.random() * (m.base_splits + 0.5)) if m.base_splits > 0 else 0
+    many = len(seed.whole)
+    other = m.with_(base_splits=bases, rules="tree-gen")
+    split, rows = _split(other, rng, 0, many, segments)
+    stems = replace(
+        seed,
+        segments=segments,
+        start=np.array(split.start) if split else np.zeros(many, dtype=int),
+        origin=np.array(split.origin) if split else np.full(many, -1),
+    )
+    clones = Clones(np.array(split.number), np.array(split.count)) if split else None
+    noise = rng.uniform(-1, 1, (4, len(rows), segments))
+    ways = _directions(other, noise, stems, frames, clones).z[:many]
+    return np.cumsum(ways, axis=1) / segments
+
+
+def _fitted(
+    m: WeberPenn, stems: Stems, start: Array, reach: Array
+) -> tuple[Stems, Array, Array]:
+    """Shorten stems to the pruning envelope: (stems, a mask of those that stay, factors).
+
+    `reach` (own, k, 3): points that must be inside, from the feet `start` (own, 3) [m] of
+    stems that are not clones, for a stem of length 1 m.
+    """
     own = np.flatnonzero(stems.origin < 0)
-    first = int(np.ceil(m.bare[0] * max(1, int(m.curve_res[0]))))
-    reach = np.cumsum(ways[own], axis=1) / segments
-    path = reach[:, -1:] if stems.level == 0 and first > 0 else reach
     factor = np.ones(len(own))
     step = 0.9 if not m.published else 0.95
     open_ = np.ones(len(own), dtype=bool)
@@ -250,7 +302,7 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
         i = np.flatnonzero(open_)
         sizes = factor[i, None] * trial
         long = (sizes * stems.whole[own[i], None])[..., None]
-        foot, way = start[own[i]], path[i]
+        foot, way = start[own[i]], reach[i]
         x, y, z = (foot[:, k, None, None] + way[:, None, :, k] * long for k in range(3))
         tall = stems.height[own[i], None, None]
         q = (tall - z) / (tall * (1 - m.bare[0]))
@@ -269,9 +321,12 @@ def _fitted(m: WeberPenn, stems: Stems, start: Array, ways: Array) -> tuple[Stem
     for i, up in enumerate(stems.origin.tolist()):
         root[i] = i if up < 0 else root[up]
     scale = length[root]
-    keep = scale > 1e-3
     power = 1.0 if stems.level == 0 else m.ratio_power
-    return replace(stems, whole=stems.whole * scale, size=stems.size * scale**power), keep
+    with np.errstate(divide="ignore"):
+        thick = stems.free * scale**power
+    thick = thick if m.published or stems.level == 0 else np.maximum(thick, 0.005)
+    size = np.minimum(thick, stems.size)
+    return replace(stems, whole=stems.whole * scale, size=size), scale > 1e-3, scale
 
 
 def _placed(stems: Stems, start: Array, ways: Array) -> Stems:
@@ -297,16 +352,31 @@ def _wound(
 ) -> Stems:
     """Return stems wound to helices whose declination from the axis is |CurveV|."""
     angle = np.radians(abs(m.curve_v[min(stems.level, LEVELS - 1)]))
-    noise = rng.random((3, len(start)))
     step = stems.whole / stems.segments
-    if m.published:  # arc length is the stem's length
-        rise = step * np.cos(angle)
-        radius = step * np.sin(angle) / np.pi
-    else:  # the program's axis has the stem's length, and its radius is approximate
-        rise = step * (0.8 + 0.4 * noise[0])
-        radius = 6 * rise * np.tan(angle) / 16 * (0.8 + 0.4 * noise[1])
     frames = _attracted(m, stems.level, stems.segments, frames)
-    helix = Helix(start, frames, rise, radius, 2 * np.pi * noise[2])
+
+    def helix_of(noise: Array) -> Helix:
+        if m.published:  # arc length is the stem's length
+            rise = step * np.cos(angle)
+            radius = step * np.sin(angle) / np.pi
+        else:  # the program's axis has the stem's length, and its radius is approximate
+            rise = step * (0.8 + 0.4 * noise[0])
+            radius = 6 * rise * np.tan(angle) / 16 * (0.8 + 0.4 * noise[1])
+        return Helix(start, frames, rise, radius, 2 * np.pi * noise[2])
+
+    helix = helix_of(rng.random((3, len(start))))
+    keep = np.ones(len(start), dtype=bool)
+    if m.prune_ratio > 0:
+        tip = not m.published or _tip_alone(m, stems.level)  # the program asks no more
+        ends = np.arange(stems.segments if tip else 1.0, stems.segments + 1)
+        t = np.broadcast_to(ends, (len(start), len(ends)))
+        # a trunk is fitted by other random numbers there, see _other_course
+        other = stems.level == 0 and not m.published
+        fitted = helix_of(rng.random((3, len(start)))) if other else helix
+        points, _ = fitted.at(np.arange(len(start))[:, None].repeat(len(ends), axis=1), t)
+        reach = (points - start[:, None]) / stems.whole[:, None, None]
+        stems, keep, scale = _fitted(m, stems, start, reach)
+        helix = replace(helix, rise=helix.rise * scale, radius=helix.radius * scale)
     out = replace(
         stems,
         helix=helix,
@@ -314,7 +384,7 @@ def _wound(
         nodes=np.zeros((len(start), 0, 3)),
         bend=np.zeros((len(start), 0, 3)),
     )
-    return out
+    return out if keep.all() else picked_stems(out, keep, np.cumsum(keep) - 1)
 
 
 @cache

@@ -38,10 +38,11 @@ def read_swc(text: str, name: str) -> Skeleton:
     ids: list[int] = []
     rows: list[list[float]] = []
     lines: list[int] = []
-    starts: list[int] | None = None
+    starts: list[str] | None = None
+    told = 0
     for number, line in enumerate(text.splitlines(), start=1):
         if line.startswith(LIMBS):
-            starts = [int(word) for word in line[len(LIMBS) :].split() if word.isdigit()]
+            starts, told = line[len(LIMBS) :].split(), number
         words = line.split("#")[0].split()
         if not words:
             continue
@@ -84,8 +85,28 @@ def read_swc(text: str, name: str) -> Skeleton:
     order = _outwards(parent, lines, name)
     data = np.array(rows)
     if starts is not None and np.array_equal(order, np.arange(len(order))):
-        return _as_written(data, parent, [place[s] for s in starts if s in place])
-    return _traced(data[:, 2:5], data[:, 5], parent, order)
+        where = f"{name}, line {told}"
+        return _as_written(data, parent, _starts(starts, place, parent, where))
+    return _traced(data[:, 2:5], data[:, 5], parent, order, name)
+
+
+def _starts(words: list[str], place: dict[int, int], parent: Array, where: str) -> Array:
+    """Return a mask of the nodes at which limbs start; FileError where they cannot."""
+    out = np.zeros(len(parent), dtype=bool)
+    for word in words:
+        if not word.isdigit() or int(word) not in place:
+            raise FileError(f"{where}: {word!r}; expected ids of nodes. Mend that comment.")
+        out[place[int(word)]] = True
+    follows = parent == np.arange(len(parent)) - 1
+    follows[0] = False
+    size = np.diff(np.append(np.flatnonzero(out), len(out)))
+    if not out[0] or (~follows & ~out).any() or (size < 2).any():
+        raise FileError(
+            f"{where}: the nodes do not make limbs of two and more that start there; "
+            "expected the first node of every limb. Drop that comment, and limbs go on to "
+            "the thickest child."
+        )
+    return out
 
 
 def _outwards(parent: Array, lines: Sequence[int], name: str) -> Array:
@@ -112,21 +133,21 @@ def _outwards(parent: Array, lines: Sequence[int], name: str) -> Array:
     return np.argsort(depth, kind="stable")
 
 
-def _as_written(data: Array, parent: Array, starts: list[int]) -> Skeleton:
-    begin = np.zeros(len(data), dtype=int)
-    begin[starts] = 1
-    begin[0] = 1
-    limb = np.cumsum(begin) - 1
-    level = data[np.flatnonzero(begin), 1].astype(int) - CUSTOM
+def _as_written(data: Array, parent: Array, starts: Array) -> Skeleton:
+    limb = np.cumsum(starts) - 1
+    level = data[starts, 1].astype(int) - CUSTOM
     return Skeleton(data[:, 2:5], data[:, 5], parent, limb, np.maximum(level, 0))
 
 
-def _traced(points: Array, radius: Array, parent: Array, order: Array) -> Skeleton:
+def _traced(
+    points: Array, radius: Array, parent: Array, order: Array, name: str
+) -> Skeleton:
     """Return the skeleton whose limbs go on to the thickest child at every fork."""
     children: dict[int, list[int]] = {}
     for i in order.tolist():
         children.setdefault(int(parent[i]), []).append(i)
     limbs: list[Polyline] = []
+    lone = 0
     todo = [(root, -1, -1) for root in children[-1]]  # node, its limb's parent, fork node
     while todo:
         node, above, fork = todo.pop(0)
@@ -145,4 +166,11 @@ def _traced(points: Array, radius: Array, parent: Array, order: Array) -> Skelet
             limbs.append(Polyline(p[keep], r[keep], above))
         else:  # nothing but a doubled point; what hung there hangs on its parent
             todo = [(n, above if a == len(limbs) else a, f) for n, a, f in todo]
-    return Skeleton.from_limbs(limbs)
+            lone += len(path)
+    if not limbs:
+        raise FileError(
+            f"{name}: no node has another place than its parent; expected at least two "
+            "nodes apart. Add some."
+        )
+    note = f"{lone} lone nodes left out" if lone else ""
+    return Skeleton.from_limbs(limbs, note=note)

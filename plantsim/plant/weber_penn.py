@@ -15,11 +15,10 @@ from plantsim.plant.frames import Frames, about_x, about_y, about_z, on_tangent
 from plantsim.plant.parameters import LEVELS, WeberPenn, species
 from plantsim.plant.prepare import Forks, prepared
 from plantsim.plant.profile import radius_at, shape_ratio
+from plantsim.plant.sampled import THINNEST, joined
 from plantsim.plant.skeleton import Skeleton
 from plantsim.plant.splits import MOST
 from plantsim.plant.stems import Stems, grow_level, picked_stems, rolled
-
-THINNEST = 1e-6  # m; where the model's radius vanishes
 
 
 def weber_penn(
@@ -61,11 +60,11 @@ def weber_penn(
             f"levels is {levels!r}: give a whole number from 1 (trunk alone) to 8."
         )
     if not ready:
-        return _joined(model, grown(model, generator(rng), depth))
+        return joined(model, grown(model, generator(rng), depth))
     floor = -1.0 if min_radius is None else min_radius
     stems = grown(model, generator(rng), depth, _Wanted(floor, 2 * max_limbs))
     known = sum(len(level.whole) for level in stems) + stems[-1].spared
-    full = _joined(model, _thick(stems, _Wanted(floor, 2 * max_limbs)))
+    full = joined(model, _thick(stems, _Wanted(floor, 2 * max_limbs)))
     thin = max(5e-4, 0.02 * full.radius[0]) if min_radius is None else min_radius
     deeper = depth if len(stems) < depth and model.branches[min(len(stems), 3)] else 0
     return prepared(
@@ -142,8 +141,16 @@ def grown(
     seed = _seed(m, rng, 0, length, length * thick)
     # the crown begins at BaseSize of the tree; the program says of the trunk
     bare = m.bare[0] * (height if m.published else length)
-    seed = _with(seed, base=np.minimum(bare, 0.99 * length), height=height)
+    tall = m.z_scale + (m.z_scale_v * rng.uniform(-1, 1) if m.z_scale_v else 0.0)
+    seed = replace(
+        _with(seed, base=np.minimum(bare, 0.99 * length), height=height), stretch=tall
+    )
     out = [grow_level(m, rng, 0, start, about_z(Frames(eye), roll), seed)]
+    if not len(out[0].whole):
+        raise GeometryError(
+            f"the pruning envelope of prune_width {m.prune_width} leaves no trunk. Widen "
+            "it, or lower prune_ratio below 1."
+        )
     while len(out) < levels:
         if wanted is not None and _bound(m, out[-1]) < wanted.floor(out):
             break
@@ -172,7 +179,7 @@ def _seed(
     none = np.zeros(many, dtype=int)
     void = np.zeros(0)
     return Stems(
-        level, 1, none - 1, void, length, radius, np.maximum(longest, 0.0), none,
+        level, 1, none - 1, void, length, radius, radius, np.maximum(longest, 0.0), none,
         none - 1, void, void, void, void, void, void,
     )  # fmt: skip
 
@@ -232,7 +239,7 @@ def _children(
     n, over = min(level + 1, LEVELS - 1), min(level, LEVELS - 1)
     first = rng.uniform(0, 360, len(stems.whole))
     if m.branches[n] < 0:
-        row, t, azimuth = _fan(m, n, stems)
+        row, t, azimuth = _fan(m, rng, n, stems)
     else:
         counts = _counts(m, rng, stems, above)
         if counts.sum() > MOST:
@@ -264,8 +271,8 @@ def _children(
     limit = radius_at(m, level, stems.size[row], whole, offset / whole)
     if fan:  # the tip has no radius left to limit them
         limit = np.maximum(limit, 0.5 * stems.size[row])
-    radius = m.radius_mod[n] * stems.size[row] * (length / whole) ** m.ratio_power
-    radius = np.minimum(radius if m.published else np.maximum(radius, 0.005), limit)
+    free = m.radius_mod[n] * stems.size[row] * (length / whole) ** m.ratio_power
+    radius = np.minimum(free if m.published else np.maximum(free, 0.005), limit)
     keep = (length > 1e-4) & (radius > (THINNEST if m.published else 1e-4))
     if not keep.any():
         return None
@@ -283,7 +290,12 @@ def _children(
         start,
         frames,
         _with(
-            seed, parent=row, offset=offset, base=stems.base[row], height=stems.height[row]
+            seed,
+            parent=row,
+            offset=offset,
+            free=free[keep],
+            base=stems.base[row],
+            height=stems.height[row],
         ),
     )
 
@@ -325,86 +337,16 @@ def _whorls(
     return row[pick], t[pick], turn[pick] + 360 * k / size[pick]
 
 
-def _fan(m: WeberPenn, n: int, stems: Stems) -> tuple[Array, Array, Array]:
+def _fan(
+    m: WeberPenn, rng: np.random.Generator, n: int, stems: Stems
+) -> tuple[Array, Array, Array]:
     """Place children side by side at the tip, spread over `rotate` degrees."""
-    number = max(1, int(abs(m.branches[n]) / (1 - m.bare[min(stems.level, LEVELS - 1)])))
-    row = np.repeat(np.arange(len(stems.whole)), number)
-    k = np.tile(np.arange(number), len(stems.whole))
-    spread = m.rotate[n] * (k / max(number - 1, 1) - 0.5 * (number > 1))
+    many = abs(m.branches[n]) / (1 - m.bare[min(stems.level, LEVELS - 1)])
+    number = np.full(len(stems.whole), float(many))
+    if stems.level == 0 and not m.published:
+        number *= rng.uniform(0.9, 1.1, len(number))
+    number = np.floor(number * stems.share[:, -1] + 1e-9).astype(int)
+    row, k = repeated(number)
+    last = number[row] - 1
+    spread = m.rotate[n] * (k / np.maximum(last, 1) - 0.5 * (last > 0))
     return row, np.full(len(row), float(stems.segments)), spread
-
-
-def _joined(m: WeberPenn, levels: list[Stems]) -> Skeleton:
-    """Return the skeleton of all stems: sampled curves, radii, joints."""
-    points, radius, limb_of, joint, depth = [], [], [], [], []
-    firsts: list[Array] = []  # of each level: first node of each stem
-    grids: list[dict[int, Array]] = []
-    limbs = nodes = 0
-    for stems in levels:
-        rows = len(stems.whole)
-        grid = {int(s): _grid(m, stems, int(s)) for s in np.unique(stems.start)}
-        size = np.array([len(grid[int(s)]) for s in stems.start])
-        first = nodes + np.cumsum(size) - size
-        stem = np.repeat(np.arange(rows), size)
-        time = np.concatenate([grid[int(s)] for s in stems.start])
-        p = stems.at(stem, time)[0]
-        foot = stems.size[stem]
-        thin = radius_at(m, stems.level, foot, stems.whole[stem], time / stems.segments)
-        r = np.maximum(thin, np.maximum(1e-3 * foot, THINNEST))
-        at = np.full(rows, -1)
-        clones = np.flatnonzero(stems.origin >= 0)
-        own = np.flatnonzero(stems.origin < 0)
-        at[clones] = _node(
-            first, grid, stems, stems.origin[clones], stems.start[clones].astype(float)
-        )
-        if stems.level:
-            above = levels[stems.level - 1]
-            up = stems.parent[own]
-            t = stems.offset[own] / above.whole[up] * above.segments
-            at[own] = _node(firsts[-1], grids[-1], above, up, t)
-        points.append(p)
-        radius.append(r)
-        limb_of.append(np.repeat(limbs + np.arange(rows), size))
-        back = np.arange(nodes - 1, nodes + len(p) - 1)
-        back[first - nodes] = at
-        joint.append(back)
-        depth.append(np.full(rows, stems.level))
-        firsts.append(first)
-        grids.append(grid)
-        limbs += rows
-        nodes += len(p)
-    return Skeleton(
-        np.round(np.concatenate(points), 9),  # so that all machines agree
-        np.round(np.concatenate(radius), 10),
-        np.concatenate(joint),
-        np.concatenate(limb_of),
-        np.concatenate(depth),
-    )
-
-
-def _grid(m: WeberPenn, stems: Stems, start: int) -> Array:
-    """Return where a stem's nodes are, in segments from the foot."""
-    n, segments = min(stems.level, LEVELS - 1), stems.segments
-    fine = 8 if stems.level < 2 else 4
-    if m.taper[n] > 2:  # beads
-        fine = 48
-    each = max(2, -(-fine // segments)) if segments > 1 else fine
-    each = 6 if stems.helix is not None else each
-    t = np.linspace(start, segments, (segments - start) * each + 1)
-    if stems.level == 0 and m.flare and start == 0:
-        t = np.union1d(t, segments * np.array([1 / 64, 1 / 32, 1 / 16, 3 / 32, 1 / 8]))
-    if 1 < m.taper[n] <= 2:  # a round tip
-        t = np.union1d(t, segments - np.array([0.3, 0.1, 0.03]) / each)
-    return t[np.append(True, np.diff(t) > 1e-6)]
-
-
-def _node(
-    first: Array, grid: dict[int, Array], stems: Stems, row: Array, t: Array
-) -> Array:
-    """Return the node at or before t of stems."""
-    out = np.empty(len(row), dtype=int)
-    for s, times in grid.items():
-        pick = stems.start[row] == s
-        i = np.searchsorted(times, t[pick] + 1e-9, side="right") - 1
-        out[pick] = first[row[pick]] + np.clip(i, 0, len(times) - 1)
-    return out
