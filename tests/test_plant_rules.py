@@ -271,8 +271,8 @@ def outside(m, plant, rows):
 
 @pytest.mark.parametrize("rules", ["published", "tree-gen"])
 def test_a_helix_is_pruned_too(rules):
-    m = WeberPenn(scale=6.0, scale_v=0, levels=1, flare=0, curve_v=-40, curve_res=5,
-                  base_size=0.5, prune_ratio=1, prune_width=0.3, length=1.3, rules=rules)  # fmt: skip
+    m = WeberPenn(scale=6.0, scale_v=0, levels=1, flare=0, curve_v=-40, curve_res=5)
+    m = m.with_(base_size=0.5, prune_ratio=1, prune_width=0.3, length=1.3, rules=rules)
     short = 0
     for seed in range(12):
         free = ps.weber_penn(m.with_(prune_ratio=0), seed, ready=False)

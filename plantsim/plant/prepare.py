@@ -37,14 +37,15 @@ def prepared(
     """
     if forks not in ("model", "area"):
         raise GeometryError(f"forks is {forks!r}; give 'model' or 'area'.")
-    out = skeleton
+    out, words = skeleton, ""
     trunks = np.flatnonzero(out.carrier < 0)
     if len(trunks) > 1:
         tall = trunks[np.argmax(out.splines.arc[out.last[trunks]])]
         drop = np.zeros(len(out.first), dtype=bool)
         drop[trunks] = True
         drop[tall] = False
-        out = without(out, drop).with_note(f"1 of {len(trunks)} trunks kept, the longest")
+        out = without(out, drop)
+        words = f"1 of {len(trunks)} trunks kept, the longest, with what it carries"
     out = _begun(out, min_radius)
     out = pruned(out, min_radius, int(SPARE * max_limbs) + 2, None)
     out = rebuilt(out, out.points, out.radius, out.first)
@@ -72,7 +73,7 @@ def prepared(
         radius=np.round(out.radius, 10),
         note=skeleton.note,
     )
-    return out.with_note(note) if gone or deeper else out
+    return out.with_note(words, note) if gone or deeper else out
 
 
 def _begun(skeleton: S, least: float) -> S:
