@@ -5,7 +5,7 @@
     python benchmarks/grow.py --mesh 2         and meshes of that many seeds of each
 
 The reference figures are looked for in $PLANTSIM_SHARED or ../shared; without them that
-table is left out. Times are of one process, the best of several runs.
+table is left out. Times are CPU seconds of one process over many seeds, best and median.
 """
 
 import argparse
@@ -35,34 +35,39 @@ def reference() -> dict:
     return {}
 
 
-def best(grow, runs: int) -> float:
-    """Least CPU seconds of a call over seeds."""
+def took(grow, runs: int) -> tuple[float, float]:
+    """Least and median CPU milliseconds of a call over seeds."""
+    grow(runs)  # what is imported and cached once
     times = []
     for seed in range(runs):
         start = time.process_time()
         grow(seed)
-        times.append(time.process_time() - start)
-    return min(times)
+        times.append(1e3 * (time.process_time() - start))
+    return min(times), float(np.median(times))
 
 
 def speed(runs: int) -> None:
-    print("species                ready [ms]  limbs  whole [ms]   stems")
+    print("CPU ms               ready: best  median  limbs   whole: best  median   stems")
     for name in ps.species_names():
-        ready = best(lambda s, n=name: ps.weber_penn(n, rng=s), runs)
-        whole = best(lambda s, n=name: ps.weber_penn(n, rng=s, ready=False), 5)
+        ready = took(lambda s, n=name: ps.weber_penn(n, rng=s), runs)
+        whole = took(lambda s, n=name: ps.weber_penn(n, rng=s, ready=False), runs)
         limbs = len(ps.weber_penn(name, rng=7).first)
         stems = len(ps.weber_penn(name, rng=7, ready=False).first)
-        print(f"{name:22s} {1e3 * ready:10.1f} {limbs:6d} {1e3 * whole:11.1f} {stems:7d}")
+        print(
+            f"{name:22s} {ready[0]:9.1f} {ready[1]:7.1f} {limbs:6d} "
+            f"{whole[0]:13.1f} {whole[1]:7.1f} {stems:7d}"
+        )
 
 
 def compare(seeds: int) -> None:
     for name, entry in reference().items():
         model = WeberPenn.from_mapping(entry["parameters"])
         grown = list(entry["grown"].values())
-        took = best(lambda s, m=model: ps.weber_penn(m, rng=s, ready=False), 5)
+        one = took(lambda s, m=model: ps.weber_penn(m, rng=s, ready=False), seeds)
         plants = [ps.weber_penn(model, rng=s, ready=False) for s in range(seeds)]
-        note = f", reference program {REFERENCE_ASPEN} s" if name == "quaking_aspen" else ""
-        print(f"\n{name}: {1e3 * took:.1f} ms of CPU for all{note}")
+        note = f"; the reference program {1e3 * REFERENCE_ASPEN:.0f}"
+        note = note if name == "quaking_aspen" else ""
+        print(f"\n{name}: best {one[0]:.1f}, median {one[1]:.1f} ms of CPU for all{note}")
         print(f"  {'':16s} {'ours':>10s} {'reference':>10s} {'scatter':>9s} {'ratio':>6s}")
         row("height [m]", [p.height for p in plants], [g["height"] for g in grown])
         for level in range(model.levels):
@@ -91,10 +96,10 @@ def check(seeds: int) -> None:
             limbs.append(len(plant.first))
             if plant.check():
                 bad.append(seed)
-        took = (time.process_time() - start) / seeds
+        each = (time.process_time() - start) / seeds
         print(
             f"  {name:22s} {len(bad)} fail {bad[:5] or ''} "
-            f"limbs {min(limbs)}-{max(limbs)}, {1e3 * took:.0f} ms each with check",
+            f"limbs {min(limbs)}-{max(limbs)}, {1e3 * each:.0f} ms each with check",
             flush=True,
         )
 

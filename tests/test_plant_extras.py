@@ -114,6 +114,9 @@ def test_grow_command(tmp_path, monkeypatch):
     assert ps.read_skeleton("t.swc").limbs[0].length > 1.5
     shown = run.invoke(app, ["grow", "--list"])
     assert all(name in shown.output for name in ("apple_spindle", "maize"))
+    drawn = run.invoke(app, ["grow", "--list", "--picture", "all.png"])
+    assert drawn.exit_code == 0
+    assert (tmp_path / "all.png").read_bytes()[:4] == b"\x89PNG"
     assert "Example" in run.invoke(app, ["grow", "--help"]).output
     wrong = run.invoke(app, ["grow", "tomatoo"])
     assert isinstance(wrong.exception, ps.GeometryError)

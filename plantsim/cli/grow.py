@@ -7,6 +7,7 @@ import typer
 
 import plantsim as ps
 from plantsim.cli.app import Json, app, reporting, species_like, working
+from plantsim.view.skeletons import contact_sheet
 
 
 @app.command()
@@ -23,7 +24,9 @@ def grow(
     out: Annotated[
         Path | None, typer.Option(help="Write the skeleton here: .json, .swc or .csv.")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw it here: .png")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw it here: .png; with --list, all of them.")
+    ] = None,
     list_: Annotated[bool, typer.Option("--list", help="Show the species.")] = False,
     json: Json = False,
 ) -> None:
@@ -34,14 +37,17 @@ def grow(
     with reporting(json) as report:
         if list_:
             with working("growing", len(ps.species_names())) as step:
-                rows = []
+                rows, plants = [], []
                 for name in ps.species_names():
                     found = ps.weber_penn(name, rng=seed)
                     thin = 1e3 * float(found.radius.min())
                     rows.append((name, found.height, len(found.first), thin))
+                    plants.append((name, found))
                     step(name)
             columns = ("species", "height, m", "limbs", "thinnest radius, mm")
             report.table("species", f"species, grown with seed {seed}", columns, rows)
+            if picture is not None:
+                report.wrote(contact_sheet(plants, picture))
             return
         toml = species.lower().endswith(".toml")
         model = ps.WeberPenn.read(species) if toml else ps.species(species)

@@ -1,8 +1,9 @@
 """Cylinder tables of quantitative structure models <-> Skeleton.
 
-Read are those of TreeQSM (cylinder_*.txt since version 2.4: tabs, thirteen headings over
-seventeen columns; before, cyl_data_*.txt without headings), of SimpleForest (.csv, which
-CanoPyHydro, the companion of pyQSM, reads too), of PyTLidar, aRchi and rTwig, and ours.
+Read are those of TreeQSM and its port PyTLidar (cylinder_*.txt since version 2.4: tabs,
+thirteen headings over seventeen columns; before, cyl_data_*.txt without headings), of
+SimpleForest (.csv, which CanoPyHydro, the companion of pyQSM, reads too), of aRchi and
+rTwig, and ours.
 """
 
 import csv
