@@ -47,6 +47,8 @@ def young_aspen() -> WeberPenn:
     return species("quaking_aspen").with_(
         scale=2.0,
         scale_v=0.3,
+        scale0_v=0.0,
+        lobes=0,
         base_size=0.25,
         ratio=0.012,
         ratio_power=0.8,
