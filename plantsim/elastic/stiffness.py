@@ -152,7 +152,10 @@ def _linear(mesh: TetMesh, pattern: Pattern) -> Blocks:
     pairs = np.empty((pattern.where.size, 3, 3))
     for start in range(0, len(pairs), PART):
         part = slice(start, start + PART)
-        np.einsum("si,sj->sij", scaled[first[part]], plain[second[part]], out=pairs[part])
+        left, right = scaled.take(first[part], axis=0), plain.take(second[part], axis=0)
+        out = pairs[part]
+        for i in range(3):  # three times as fast as one product of (s, 3, 1) and (s, 1, 3)
+            np.multiply(left[:, i : i + 1], right, out=out[:, i])
     return Blocks(pattern, pairs, G, np.repeat(volume[:, None] / 4, 4, axis=1), volume)
 
 
@@ -261,8 +264,10 @@ def scalar_basis(
     `exact_mass`: integrate products of shape functions, not of gradients, exactly. `few`:
     on curved tets the points of straight ones.
     """
-    used, local = np.unique(tets, return_inverse=True)
-    local = np.ascontiguousarray(local.reshape(tets.shape).T, dtype=np.int32)
+    mask = np.zeros(len(points), dtype=bool)
+    mask[tets] = True
+    used = np.flatnonzero(mask)
+    local = (np.cumsum(mask, dtype=np.int32) - 1)[np.ascontiguousarray(tets.T)]
     p = np.ascontiguousarray(points[used].T)
     if curved:
         # products of gradients on curved tets are rational: degree 4 holds them to ~1e-5;
