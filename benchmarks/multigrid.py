@@ -19,7 +19,8 @@ from scipy.sparse import bsr_matrix, csr_array, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 import plantsim as ps
-from plantsim.solve.multigrid import MultigridFactor, rigid_modes
+from plantsim.solve.multigrid import MultigridFactor
+from plantsim.solve.rigid import rigid_modes
 
 
 def refined(mesh: ps.TetMesh, times: int) -> ps.TetMesh:
@@ -91,11 +92,17 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {
         "V",
     ),
     "two levels, 0.08, unsmoothed aggregates": (TWO | strong(0.08) | {"smooth": None}, "V"),
+    "two levels, 0.08, smoothed twice": (
+        TWO | strong(0.08) | {"smooth": ("jacobi", {"degree": 2})},
+        "V",
+    ),
     "two levels, energy smoothing": (
         TWO | strong(0.0) | {"smooth": ("energy", {"krylov": "cg", "maxiter": 4})},
         "V",
     ),
     "two levels, aggregates along the limbs": (TWO | {"aggregate": "limbs"}, "V"),
+    "three levels, strength 0.08": (TWO | strong(0.08) | {"max_levels": 3}, "V"),
+    "three levels, strength 0.08, W cycle": (TWO | strong(0.08) | {"max_levels": 3}, "W"),
     "many levels, strength 0": (MANY | strong(0.0), "V"),
     "many levels, strength 0, W cycle": (MANY | strong(0.0), "W"),
     "many levels, evolution, energy, W": (

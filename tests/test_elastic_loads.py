@@ -4,9 +4,13 @@ import pytest
 import plantsim as ps
 
 
+def made(mesh, order, solver="direct"):
+    return ps.ElasticModel(mesh.with_order(order), ps.Material(density=900), solver=solver)
+
+
 @pytest.fixture(params=[1, 2])
 def model(request, fork):
-    return ps.ElasticModel(fork.with_order(request.param), ps.Material(density=900))
+    return made(fork, request.param)
 
 
 def balanced(state):
@@ -20,7 +24,10 @@ def balanced(state):
     )
 
 
-def test_every_load_balances(model):
+@pytest.mark.parametrize("solver", ["direct", "multigrid"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_every_load_balances(fork, order, solver):
+    model = made(fork, order, solver)
     x = model.mesh.points
     tips = np.argsort(x[:, 2])[-8:]
     up = np.flatnonzero(x[:, 2] > 0.1)
@@ -37,11 +44,32 @@ def test_every_load_balances(model):
     for load in loads:
         assert balanced(model.solve(load)), load
     assert balanced(model.solve(*loads))
-    # by a contact, and by the compliance of vertices not met before
-    assert balanced(model.contact(tips).solve((0, 0, -1e-3)))
+    # by a contact, and by the compliance of vertices not met before or known already
+    tips = tips[:3]
+    for dtype in (np.float64, np.float32):
+        assert balanced(model.contact(tips, dtype=dtype).solve((0, 0, -1e-3)))
     again = model.solve(ps.move(tips, (0, 1e-3, 0)), *loads[4:])
     assert "compliance" in again.stats.backend
     assert balanced(again)
+
+
+def test_every_load_at_once_with_fruit_balances():
+    skeleton = ps.fork(0.3, 0.02).with_fruit(count=6, mass=0.2, stalk=0.05, rng=3)
+    mesh = ps.tetrahedralize(ps.sweep(skeleton), 1.2)
+    tips = np.argsort(mesh.points[:, 2])[-12:]
+    loads = [
+        ps.move(tips[:2], (0, 0, -1e-3)),
+        ps.hold(tips[2:4], free=(0, 0, 1), displacement=(1e-3, 0, 0)),
+        ps.grasp(tips[4:8], translation=(1e-3, 0, 0), rotation=(0, 0, 0.02)),
+        ps.force(tips[8:], (1.0, 0, 0.3)),
+        ps.traction(mesh.surface_vertices, 100.0),
+        ps.hang(mesh.points[tips[8]], 0.1),
+        ps.gravity(masses=skeleton.masses),
+    ]
+    for solver in ("direct", "multigrid"):
+        state = made(mesh, 2, solver).solve(*loads)
+        assert state.stats.solver == solver
+        assert balanced(state)
 
 
 def test_loads_add_up(model):

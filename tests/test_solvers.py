@@ -3,7 +3,7 @@ import pytest
 import skfem
 
 import plantsim as ps
-from plantsim.solve.multigrid import rigid_modes
+from plantsim.solve.rigid import rigid_modes
 from plantsim.solve.solver import choose
 
 SOLVERS = ["direct", "multigrid"]

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.errors import ModelError, SolverError
+from plantsim.solve.rigid import Rigid, rigid_modes
 from plantsim.solve.stats import SolveStats, norm
 
 if TYPE_CHECKING:
@@ -169,7 +170,9 @@ class Contact:
             raise ModelError(f"one displacement at a time, not {shape}. Loop over them.")
         model = self.model
         u = _product(d, self._field).astype(float).reshape(-1, 3)
+        u[self.ids] = np.asarray(displacement, dtype=float)
         f = np.zeros_like(u)
+        u = self.balanced(u, f)
         error, unknowns = self.evidence(u, f)
         held = np.union1d(model.fixed_ids, self.ids)
         f[held] = model.internal(held, u)
@@ -180,6 +183,26 @@ class Contact:
         for array in (u, f):
             array.flags.writeable = False
         return Equilibrium(model, u, f, self.ids, stats)
+
+    def balanced(self, u: Array, load: Array) -> Array:
+        """Return a field (n, 3) whose reactions balance the loads (n, 3) to rounding.
+
+        As it is where the columns are exact, that is, by a direct factor in double
+        precision.
+        """
+        if self.dtype == np.float64 and self.model.base_factor()[1].name == "direct":
+            return u
+        return self._rigid.balanced(u.ravel(), load.ravel()).reshape(-1, 3)
+
+    @cached_property
+    def _rigid(self) -> Rigid:
+        """Rigid modes of the vertices that are neither fixed nor moved."""
+        points = self.model.mesh.points
+        rest = np.setdiff1d(self.model.base_factor()[0], self.ids)
+        modes = np.zeros((len(points), 3, 6))
+        if len(rest):
+            modes[rest] = rigid_modes(points[rest]).reshape(-1, 3, 6)
+        return Rigid.of(self.model.stiffness, modes.reshape(-1, 6))
 
     def evidence(self, u: Array, load: Array) -> tuple[float, int]:
         """Return the backward error of a field (n, 3) [m] under loads (n, 3) [N].

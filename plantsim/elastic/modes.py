@@ -10,7 +10,8 @@ from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import ModelError, SolverError
-from plantsim.solve.multigrid import MultigridFactor, rigid_modes
+from plantsim.solve.multigrid import MultigridFactor
+from plantsim.solve.rigid import rigid_modes
 from plantsim.solve.solver import Factor
 
 TOLERANCE = 1e-3  # |K phi - omega^2 M phi| / |omega^2 M phi|; omega errs by its square

@@ -180,6 +180,7 @@ def _by_contact(model: "ElasticModel", acting: Acting) -> tuple[Array, Evidence]
     f[acting.moved] += contact.force(short)
     u[free] = factor(f[free].ravel())[0].reshape(-1, 3)
     u[acting.moved] = goal
+    u = contact.balanced(u, acting.force)
     error, unknowns = contact.evidence(u, acting.force)
     backend = f"{factor.backend}; compliance of {len(acting.moved)} vertices"
     return u, (factor.name, backend, unknowns, 0, error)

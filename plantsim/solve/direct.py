@@ -18,6 +18,12 @@ from plantsim.errors import SolverError
 from plantsim.solve.half import Half
 from plantsim.solve.stats import backward_error, norm, norm_inf
 
+# SuperLU for symmetric positive definite matrices: no pivots are sought
+SYMMETRIC: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.0,
+    "options": {"SymmetricMode": True},
+}
 # From here on PARDISO (extra `fast`) factors a plant faster than SuperLU: the same at
 # 180,000 unknowns, two thirds of the time at 409,000
 PARDISO_FROM = 200_000
@@ -55,13 +61,8 @@ class Direct:
         # K is symmetric, so its CSR arrays are its CSC arrays
         csc: Any = csc_array((csr.data, csr.indices, csr.indptr), shape=csr.shape)
         try:
-            lu = splu(
-                csc,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                panel_size=1,  # columns of a plant have little in common: 15 % faster
-                options={"SymmetricMode": True},
-            )
+            # columns of a plant have little in common: one at a time is 15 % faster
+            lu = splu(csc, panel_size=1, **SYMMETRIC)
         except (RuntimeError, MemoryError) as why:
             raise SolverError(
                 f"direct: no factor of {csc.shape[0]:,} unknowns ({why}). If singular, "

@@ -1,7 +1,8 @@
-"""Multigrid: smoothed aggregation with rigid-body modes, two levels, inside CG (pyamg)."""
+"""Multigrid: smoothed aggregation with rigid-body modes inside CG (pyamg)."""
 
 import warnings
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,14 @@ from scipy.sparse import bsr_array, bsr_matrix
 
 from plantsim.arrays import Array
 from plantsim.errors import SolverError
+from plantsim.solve.direct import SYMMETRIC
+from plantsim.solve.rigid import Rigid, rigid_modes
 from plantsim.solve.stats import backward_error, norm_inf
+
+# Aggregates (six unknowns each) up to which the second level is factored. Above, a third is
+# made: 31,000 (two million unknowns, order 2) had too much fill for SuperLU, and a third
+# level costs iterations on coarser meshes (measured: 96 against 43)
+COARSE = 10_000
 
 
 @dataclass(frozen=True)
@@ -19,7 +27,8 @@ class Multigrid:
     """pyamg-preconditioned CG, stopped on the backward error.
 
     Two levels with a sparse direct coarse solve: the coarse problem of a plant is a small
-    beam model and factors at once. `strength` is the threshold of strong couplings; 0.08
+    beam model and factors at once; three, by a W cycle, from some million unknowns on.
+    `strength` is the threshold of strong couplings; 0.08
     took 42 iterations to 1e-12 where 0 took 72 (order 2, 80,000 unknowns). Source: Vanek,
     Mandel, Brezina 1996, smoothed aggregation.
     """
@@ -29,7 +38,7 @@ class Multigrid:
     strength: float = 0.08
 
     def factor(self, K: bsr_array, points: Array) -> "MultigridFactor":
-        """Set up the two levels for K (3n, 3n) of vertices at points (n, 3)."""
+        """Set up the levels for K (3n, 3n) of vertices at points (n, 3)."""
         matrix = bsr_matrix(
             (K.data, K.indices, K.indptr), shape=K.shape
         )  # what pyamg takes
@@ -43,21 +52,11 @@ class Multigrid:
             presmoother=smoother,
             postsmoother=smoother,
             improve_candidates=None,
-            max_levels=2,
-            max_coarse=10,
-            coarse_solver="splu",
+            max_levels=3,
+            max_coarse=max(10, min(COARSE, len(points) - 1)),  # two levels at least
+            coarse_solver=("splu", SYMMETRIC),
         )
         return MultigridFactor(matrix, levels, self.tolerance, self.max_iterations)
-
-
-def rigid_modes(points: Array) -> Array:
-    """Return the six rigid-body modes (3n, 6) of vertices (n, 3), scaled to order one."""
-    x = (points - points.mean(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-300)
-    modes = np.zeros((len(points), 3, 6))
-    modes[:, :, :3] = np.eye(3)
-    for i, axis in enumerate(np.eye(3)):
-        modes[:, :, 3 + i] = np.cross(axis, x)
-    return modes.reshape(-1, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +69,15 @@ class MultigridFactor:
     max_iterations: int
     size: float = field(init=False)
     name: str = "multigrid"
-    backend: str = "pyamg CG, smoothed aggregation, 2 levels, 6 rigid modes"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", norm_inf(self.K))
+
+    @property
+    def backend(self) -> str:
+        """The library's routine, and how many levels there are."""
+        count = len(self.levels.levels)
+        return f"pyamg CG, smoothed aggregation, {count} levels, 6 rigid modes"
 
     @property
     def definite(self) -> bool:
@@ -82,11 +86,11 @@ class MultigridFactor:
 
     @property
     def preconditioner(self) -> Any:
-        """One V cycle as a linear operator."""
-        return self.levels.aspreconditioner(cycle="V")
+        """One W cycle as a linear operator; of two levels it is a V cycle."""
+        return self.levels.aspreconditioner(cycle="W")
 
     def precondition(self, f: Array) -> Array:
-        """Return one V cycle on f."""
+        """Return one cycle on f."""
         return self.preconditioner @ f
 
     def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, Array]:
@@ -99,6 +103,10 @@ class MultigridFactor:
 
     def compliance(self, rows: Array) -> None:
         """Return None: it would take a solve for each."""
+
+    @cached_property
+    def _rigid(self) -> Rigid:
+        return Rigid.of(self.K, self.levels.levels[0].B)
 
     def _one(self, f: Array) -> tuple[Array, int, Array]:
         if not f.any():
@@ -119,6 +127,7 @@ class MultigridFactor:
                 residuals=residuals,
             )
         iterations = len(residuals) - 1
+        u = self._rigid.balanced(u, f)
         error = backward_error(self.K, self.size, u, f)
         if not error <= self.tolerance:
             raise SolverError(
