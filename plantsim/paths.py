@@ -3,11 +3,15 @@
 import base64
 import os
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from plantsim.errors import FileError
+
+MODEST = 2**28  # bytes that the arrays of any file may take
+SWELL = 100  # times the file's own bytes that they may take beyond that
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -33,6 +37,26 @@ def writable(path: str | os.PathLike[str], *suffixes: str) -> Path:
     if not path.parent.is_dir():
         raise FileError(f"{path}: its folder does not exist. Make {path.parent} first.")
     return path
+
+
+def no_bomb(path: Path) -> None:
+    """Raise FileError for a zip archive that unpacks to far more than it holds."""
+    try:
+        with zipfile.ZipFile(path) as z:
+            unpacked = sum(entry.file_size for entry in z.infolist())
+    except (zipfile.BadZipFile, OSError):
+        return  # for its reader to refuse
+    no_swelling(path, unpacked)
+
+
+def no_swelling(path: Path, unpacked: int) -> None:
+    """Raise FileError where a file's arrays take far more bytes than it has itself."""
+    packed = path.stat().st_size
+    if unpacked > max(MODEST, SWELL * packed):
+        raise FileError(
+            f"{path}: {packed:,} bytes that unpack to {unpacked:,}; up to {SWELL} times as "
+            "many are read. It is no honest file of arrays: write it again."
+        )
 
 
 @contextmanager

@@ -10,8 +10,8 @@ import numpy as np
 from plantsim.arrays import Array
 from plantsim.errors import DependencyError, EstimateError, FileError
 from plantsim.estimation.observation import Observation
-from plantsim.hdf5 import h5py, plain_array
-from plantsim.paths import existing, replacing, writable
+from plantsim.hdf5 import h5py, lies_in, plain_array, plain_group
+from plantsim.paths import existing, no_bomb, no_swelling, replacing, writable
 
 FORMAT = "plantsim observations"
 VERSION = 2
@@ -109,20 +109,24 @@ def _observation(data: dict[str, Array], i: int) -> Observation:
 
 
 def _npz(path: Path) -> tuple[int, dict[str, Array]]:
+    no_bomb(path)
     with np.load(path, allow_pickle=False) as z:
         data = {name: z[name] for name in z.files}
     return _version(str(data.pop("format"))), data
 
 
 def _hdf5(path: Path) -> tuple[int, dict[str, Array]]:
-    data: dict[str, Array] = {}
+    found: dict[str, Any] = {}
     with h5py("use .npz").File(path, "r") as file:
         version = _version(f"{file.attrs['format']} {file.attrs['version']}")
         for i in range(int(file.attrs["observations"])):
+            if not lies_in(file, str(i)):
+                raise KeyError(f"observation {i} leads elsewhere")
             for name in UNITS:
-                if name in file[str(i)]:
-                    data[f"{i}/{name}"] = plain_array(file, f"{i}/{name}")[()]
-    return version, data
+                if name in plain_group(file, str(i)):
+                    found[f"{i}/{name}"] = plain_array(file, f"{i}/{name}")
+        no_swelling(path, sum(array.nbytes for array in found.values()))
+        return version, {name: array[()] for name, array in found.items()}
 
 
 def _version(text: str) -> int:

@@ -19,7 +19,7 @@ from plantsim.mesh.msh41 import write_msh41
 from plantsim.mesh.msh41_reader import Block, physical_names, read_msh41
 from plantsim.mesh.surfaces import SURFACES, write_surface
 from plantsim.mesh.tetmesh import TetMesh, compact
-from plantsim.paths import existing, replacing, writable
+from plantsim.paths import existing, no_bomb, replacing, writable
 
 FORMATS = (".msh", ".vtu", ".npz")  # that are read and written
 TETS = ("tetra", "tetra10")
@@ -280,6 +280,7 @@ def _read_vtu(path: Path) -> Parts:
 
 
 def _read_npz(path: Path) -> Parts:
+    no_bomb(path)
     try:
         with np.load(path, allow_pickle=False) as z:
             data = {name: z[name] for name in z.files}

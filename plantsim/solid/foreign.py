@@ -1,7 +1,8 @@
 """Geometry files of others, opened by gmsh in a child process.
 
-The child may write no file, has no input, and is ended after a time limit; a crash of gmsh
-or OCC there is one sentence here. It sends back an .npz of plain arrays through a pipe.
+The child may write no file and start no program (`fence.py`), has no input, and is ended
+after a time limit; a crash of gmsh or OCC there is one sentence here. It sends back an .npz
+of plain arrays through a pipe.
 """
 
 import json
@@ -18,6 +19,7 @@ from plantsim.arrays import Array
 from plantsim.errors import FileError, MeshError
 from plantsim.mesh.closed import SURFACES, closed_surface, read_surface
 from plantsim.mesh.tetmesh import TetMesh
+from plantsim.solid import fence
 from plantsim.solid.child import asked, packed, serve, sets_of
 from plantsim.solid.geo_script import CAD, check_opened
 from plantsim.solid.parameters import with_parameters
@@ -71,7 +73,7 @@ def open_geometry(
                 )
             text = with_parameters(opened, parameters)
             opened = Path(folder) / "with_parameters.geo"
-            opened.write_bytes(text.encode("latin-1", errors="replace"))
+            opened.write_bytes(text.encode("latin-1"))
         request = {"path": str(opened), "size": size, "order": order, "trust": trust}
         data = _child(path, request, timeout)
     names = tuple(str(n) for n in data["names"])
@@ -122,6 +124,7 @@ def _work(request: dict[str, Any], _: bytes) -> bytes:
 
     if not request["trust"]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+        fence.close()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if "surface" in request:
         with np.load(request["surface"], allow_pickle=False) as z:

@@ -3,9 +3,11 @@
 gmsh executes shell commands found in a script, and takes any file without a known header
 for a script. The check follows the lexical rules of gmsh 4.15 (comments, strings without
 escapes, keywords) and refuses what gmsh treats unlike a plain reading. It is the first of
-two fences: what passes is opened in a child process that may write no file (`foreign.py`).
+two fences: what passes is opened in a child process that may write no file and start no
+program (`foreign.py`, `fence.py`).
 """
 
+import os
 import re
 from pathlib import Path
 
@@ -25,6 +27,8 @@ DEADLY = (
     b"CommandLine Plugin StringToName S2N"
 ).split()
 FILES = frozenset("Include Merge MergeFile MergeWithBoundingBox Open ShapeFromFile".split())
+READING = re.compile(rf"(?<![A-Za-z_])(?:{'|'.join(sorted(FILES))})(?!\w)", re.ASCII)
+SPOKEN = re.compile(r"[ \t]+[A-Za-z]+[ \t]+[A-Za-z]")
 SCRIPTS = (".geo", ".geo_unrolled", ".inc", ".txt", ".dat", ".pos")
 CAD = (
     ".step",
@@ -40,12 +44,16 @@ SKIPPING = ("If", "For", "Macro", "Function", "Else", "ElseIf")
 TOKEN = re.compile(
     r"""(?P<comment>//[^\n]*|/\*.*?\*/)|(?P<string>"[^"]*"|'[^']*')"""
     r"""|(?P<word>[A-Za-z_]\w*)|(?P<open>/\*|["'])|(?P<other>\s+|.)""",
-    re.DOTALL,
+    re.DOTALL | re.ASCII,
 )
 # printf-style conversions that take the doubles gmsh passes; others crash it
 _CONVERSION = re.compile(r"%%|%[-+ 0#]?\d{0,2}(?:\.\d{0,2})?[gfeEG]")
-_NAME = re.compile(r"[\w. /-]+")
+_NAME = re.compile(r"[\w. /-]+", re.ASCII)  # of other letters gmsh takes the bytes, we not
+# gmsh ends a statement at any other character outside of strings and comments, and goes on
+# after it
+PLAIN = frozenset(map(chr, range(32, 127))) | frozenset("\t\n\f")
 LONGEST = 1000
+HELD = 1023  # characters of a string that gmsh holds
 
 
 def check_script(path: Path, folder: Path | None = None, depth: int = 0) -> None:
@@ -61,19 +69,47 @@ def check_script(path: Path, folder: Path | None = None, depth: int = 0) -> None
     if "\0" in text or "\r" in text:
         raise FileError(f"{path}: NUL or bare CR bytes, so no plain gmsh script. Clean it.")
     words: list[tuple[str, str]] = []
+    starts = set()
     for token in TOKEN.finditer(text):
         kind, value = token.lastgroup or "", token.group()
         if kind == "open":
             raise FileError(f"{path}: a comment or string is never closed. Close it.")
         if kind == "string":
             check_string(path, value)
+        elif kind == "other" and not PLAIN.issuperset(value):
+            raise FileError(
+                f"{path}: byte 0x{ord(value):02x} outside of strings and comments, so no "
+                "plain gmsh script. Take it out."
+            )
         if kind != "comment" and not value.isspace():
             words.append((kind, value))
+            starts.add(token.start())
     if any(kind == "word" and value in SKIPPING for kind, value in words):
         for word in DEADLY:
             if word in raw:
                 raise FileError(_refusal(path, f"{word.decode()} (if only in a comment)"))
+        _check_hidden(path, text, starts)
     _check_words(path, folder, depth, words)
+
+
+def _check_hidden(path: Path, text: str, starts: set[int]) -> None:
+    """Raise FileError where a comment or string could come to read a file.
+
+    `starts`: where the words begin that a plain reading sees. English goes on after such a
+    word with two words more, and no file is called as what follows a quote in it.
+    """
+    for found in READING.finditer(text):
+        if found.start() in starts or SPOKEN.match(text, found.end()):
+            continue
+        rest = text[found.end() :].lstrip()
+        if rest[:1] in ("'", '"'):
+            name = rest[1:].split(rest[0])[0][:HELD].encode("latin-1")
+            if not os.path.exists(os.path.join(os.fsencode(path.parent), name)):
+                continue
+        raise FileError(
+            f"{path}: {found.group()} in a comment or string beside If, For or Macro, "
+            "where gmsh might run it. Take it out, or pass trust=True if you trust the script."
+        )
 
 
 def check_string(path: Path, value: str) -> None:

@@ -5,6 +5,9 @@ leaves it, and a session that failed leaves it finalised, as after an error late
 return no tets.
 """
 
+import ctypes
+import os
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -69,6 +72,27 @@ def session(**options: float) -> Iterator[Any]:
         ) from None
     finally:
         gmsh.finalize()
+
+
+@contextmanager
+def _mute() -> Iterator[None]:
+    """Send to nowhere what C code prints on standard output, as the 3D kernels do."""
+    if os.fstat(1).st_rdev == os.stat(os.devnull).st_rdev:
+        yield  # it goes there as it is; behind a fence nothing could be opened to write
+        return
+    libc = ctypes.CDLL(None if os.name == "posix" else "msvcrt")
+    sys.stdout.flush()
+    libc.fflush(None)
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)
+    try:
+        yield
+    finally:
+        libc.fflush(None)
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def fused_surface(
@@ -226,7 +250,8 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
         loop = gmsh.model.geo.addSurfaceLoop([skin])
         gmsh.model.geo.addVolume([loop])
         gmsh.model.geo.synchronize()
-        gmsh.model.mesh.generate(3)
+        with _mute():
+            gmsh.model.mesh.generate(3)
         filled, tets, *_ = arrays(1)
     filled = filled.copy()
     filled[: len(points)] = points

@@ -54,11 +54,16 @@ def _written(path: Path, name: str, value: float | str, kind: str) -> str:
                 + (" of printable characters without quotes." if kind == "string" else ".")
             )
         check_string(path, f'"{value}"')
-        return f'"{value}"'
+        return f'"{_bytes(value)}"'
     number = not isinstance(value, bool) and hasattr(value, "__float__")
     if kind != "number" or not number or not math.isfinite(value):
         raise FileError(f"{path}: parameter {name} = {value!r}; give a finite {kind}.")
     return repr(float(value))
+
+
+def _bytes(text: str) -> str:
+    """Return text as the script's text is held: a character for every byte of its UTF-8."""
+    return text.encode().decode("latin-1")
 
 
 def _tokens(text: str) -> list[tuple[str, str, int, int]]:
@@ -120,7 +125,13 @@ def _full_names(path: Path, text: str) -> list[tuple[int, int, str]]:
             after = tokens[i + 1 : i + 3]
             for k, (what, name, start, end) in enumerate(after):
                 if what == "string" and (k == 0 or after[0][1] in "(["):
-                    full = path.parent.resolve() / name[1:-1]
-                    edits.append((start, end, f'"{full}"'))
+                    full = str(path.parent.resolve() / name[1:-1])
+                    if '"' in full or not full.isprintable():
+                        raise FileError(
+                            f"{path}: no parameters can be given in a folder with quotes "
+                            "in its name. Move the script."
+                        )
+                    check_string(path, f'"{full}"')
+                    edits.append((start, end, f'"{_bytes(full)}"'))
                     break
     return edits

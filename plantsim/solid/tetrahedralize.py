@@ -25,14 +25,13 @@ AROUND = 7  # default number of points around a limb
 # radius smaller by a quarter of that gives the second moment of area back
 STIFFER = 0.013
 log = logging.getLogger(__name__)
-# the ladder: (3D algorithm, turn of the rings [rad], all in the kernel) of each attempt
+# the ladder: turn of the rings [rad], all in the kernel, 3D algorithms to fill that surface
 LADDER = (
-    (gmsh_model.HXT, 0.0, False),
-    (gmsh_model.DELAUNAY, 0.0, False),
-    (gmsh_model.HXT, 0.4, False),
-    (gmsh_model.HXT, 1.1, False),
-    (gmsh_model.HXT, 0.7, True),
-    (gmsh_model.DELAUNAY, 1.9, True),
+    (0.0, False, (gmsh_model.HXT, gmsh_model.DELAUNAY)),
+    (0.4, False, (gmsh_model.HXT,)),
+    (1.1, False, (gmsh_model.HXT,)),
+    (0.7, True, (gmsh_model.HXT,)),
+    (1.9, True, (gmsh_model.DELAUNAY,)),
 )
 
 
@@ -93,34 +92,10 @@ def tetrahedralize(
     finish = partial(_finished, geometry, order, report)
     if kernel == "union":
         mesh = union.meshed(geometry, around, grow(around, order), finish, _timed, attempts)
-        if mesh is not None:
-            return mesh
-    for algorithm, turn, whole in LADDER if kernel == "occ" else ():
-        note: dict[str, Any] = {
-            "algorithm": "HXT" if algorithm == gmsh_model.HXT else "Delaunay",
-            "turn": turn,
-            "whole": whole,
-        }
-        attempts.append(note)
-        try:
-            points, faces = _timed(
-                note,
-                "surface",
-                occ.surface,
-                geometry,
-                around,
-                grow(around, order),
-                turn,
-                whole,
-            )
-            flat = flat_ends(geometry, points)
-            points, tets = _timed(
-                note, "fill", gmsh_model.fill, points, faces, flat, algorithm
-            )
-            return finish(points, tets)
-        except MeshError as why:
-            note["failure"] = str(why)
-            log.info("meshing attempt %d failed: %s", len(attempts), why)
+    else:
+        mesh = _climbed(geometry, around, grow(around, order), finish, attempts)
+    if mesh is not None:
+        return mesh
     if wild.installed():
         note = {"algorithm": "fTetWild"}
         attempts.append(note)
@@ -137,6 +112,35 @@ def tetrahedralize(
         f"the last said: {attempts[-1]['failure']} Prune limbs that graze others, or try "
         "another size."
     )
+
+
+def _climbed(
+    solid: Solid,
+    around: int,
+    growth: float,
+    finish: Callable[[Array, Array], TetMesh],
+    attempts: list[dict[str, Any]],
+) -> TetMesh | None:
+    """Return the mesh of the first rung of kernel "occ" that `finish` accepts, or None."""
+    for turn, whole, algorithms in LADDER:
+        skin: Any = None  # one surface for all algorithms of a rung
+        for algorithm in algorithms:
+            name = "HXT" if algorithm == gmsh_model.HXT else "Delaunay"
+            note: dict[str, Any] = {"algorithm": name, "turn": turn, "whole": whole}
+            attempts.append(note)
+            try:
+                if skin is None:
+                    ask = solid, around, growth, turn, whole
+                    skin = _timed(note, "surface", occ.surface, *ask)
+                flat = flat_ends(solid, skin[0])
+                ask = *skin, flat, algorithm
+                return finish(*_timed(note, "fill", gmsh_model.fill, *ask))
+            except MeshError as why:
+                note["failure"] = str(why)
+                log.info("meshing attempt %d failed: %s", len(attempts), why)
+            if skin is None:
+                break  # another algorithm would not help
+    return None
 
 
 def grow(around: int, order: int) -> float:
