@@ -108,7 +108,7 @@ def _check_hidden(path: Path, text: str, starts: set[int]) -> None:
                 continue
         raise FileError(
             f"{path}: {found.group()} in a comment or string beside If, For or Macro, "
-            "where gmsh might run it. Take it out, or pass trust=True if you trust the script."
+            "where gmsh might run it. Take it out, or pass trust=True if you trust it."
         )
 
 
