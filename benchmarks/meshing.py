@@ -3,6 +3,7 @@
     python benchmarks/meshing.py trees --kernel union --limbs 100 --count 100
     python benchmarks/meshing.py peers --limbs 30 --count 5
     python benchmarks/meshing.py species --kernel union --seeds 25 [--only NAME]
+    python benchmarks/meshing.py agree [--only NAME]
     python benchmarks/meshing.py pool --count 50
     python benchmarks/meshing.py table
 
@@ -104,6 +105,36 @@ def species(log: Log, kernel: str, seeds: int, only: str) -> None:
         for seed in range(FIRST, FIRST + seeds):
             key = ("species", name, seed, kernel)
             log.add(key, lambda n=name, s=seed: ours(ps.weber_penn(n, rng=s), kernel))
+
+
+def agree(log: Log, only: str) -> None:
+    """Bend each species' plant, meshed by either kernel, by its weight and half of it
+    sideways."""
+    for name in [only] if only else ps.species_names():
+        key = ("agree", name, FIRST, "occ and union")
+        log.add(key, lambda n=name: apart(ps.weber_penn(n, rng=FIRST)))
+
+
+def apart(skeleton: ps.Skeleton) -> dict[str, Any]:
+    """Return how far the kernels are apart: in volume, and in the motion of the tips."""
+    solid = ps.sweep(skeleton)
+    ends = np.array([tube.axis(1.0) for tube in solid.tubes])
+    volume, moved = [], []
+    for kernel in ("occ", "union"):
+        mesh = ps.tetrahedralize(solid, kernel=kernel)
+        model = ps.ElasticModel(mesh, ps.Material(6e9, 0.3, 800.0))
+        u = model.solve(ps.gravity((5.0, 0, -9.81))).displacement
+        away = np.linalg.norm(mesh.points - ends[:, None], axis=2)
+        volume.append(mesh.volume)
+        moved.append(u[away.argmin(axis=1)])
+    size = np.linalg.norm(moved, axis=2)
+    off = size[1] / size[0] - 1
+    return {
+        "limbs": len(ends),
+        "volume": round(volume[1] / volume[0] - 1, 5),
+        "tip": round(float(off[size[0].argmax()]), 5),
+        "worst_tip": round(float(off[np.abs(off).argmax()]), 5),
+    }
 
 
 def raw_surface(skeleton: ps.Skeleton) -> tuple[np.ndarray, np.ndarray]:
@@ -215,6 +246,14 @@ def table(log: Log) -> None:
                 line += [f"{median(gammas):.2g}", f"{min(gammas):.2g}"]
             print(f"| {' | '.join(line)} |")
     ratios(log)
+    rows = [r for r in log.rows if r["section"] == "agree"]
+    if rows:
+        print(
+            "\n| species | limbs | volume | farthest tip | worst tip |\n|---|---|---|---|---|"
+        )
+    for r in rows:
+        parts = [f"{100 * r[k]:+.2f} %" for k in ("volume", "tip", "worst_tip")]
+        print(f"| {r['plant']} | {r['limbs']} | {' | '.join(parts)} |")
 
 
 def ratios(log: Log) -> None:
@@ -234,7 +273,7 @@ def ratios(log: Log) -> None:
 
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    sections = ("trees", "peers", "species", "pool", "table")
+    sections = ("trees", "peers", "species", "agree", "pool", "table")
     options.add_argument("section", choices=sections)
     options.add_argument("--kernel", choices=("occ", "union"), default="union")
     options.add_argument("--limbs", type=int, default=100)
@@ -252,6 +291,8 @@ def main() -> None:
         peers(log, given.limbs, given.count)
     elif given.section == "species":
         species(log, given.kernel, given.seeds, given.only)
+    elif given.section == "agree":
+        agree(log, given.only)
     return table(log)
 
 
