@@ -24,6 +24,7 @@ from plantsim.arrays import Array
 from plantsim.elastic.pattern import Pattern
 from plantsim.elastic.polar import cofactors, rotations
 from plantsim.elastic.stiffness import point_gradients
+from plantsim.elastic.tangent import PART, many_points, one_point, summed
 from plantsim.mesh.tetmesh import TetMesh
 
 CHUNK = 16_384  # points at a time, in the tangent
@@ -187,68 +188,34 @@ class Turned:
         `positive`: without the negative eigenvalues of the points' own Hessians, so that it
         is positive definite wherever the mesh is held.
         """
-        points, pattern = self.points, self.points.pattern
+        points = self.points
         m, q = points.weight.shape
-        pairs = np.empty((pattern.where.size, 9))
-        step = max(CHUNK // q, 1)
+        c = points.mesh.tets.shape[1]
+        pairs = np.empty((m, c * (c + 1) // 2, 3, 3))
+        step = PART if q == 1 else max(CHUNK // q, 1)
         for first in range(0, m, step):
             tets = slice(first, min(first + step, m))
-            some = self._pairs(tets, positive)
-            turned = np.flatnonzero(pattern.swapped[tets])
-            some[turned] = some[turned].swapaxes(1, 2)
-            pairs[pattern.where[tets].ravel()] = some.reshape(-1, 9)
-        both = np.empty((len(pattern.start) - 1, 2, 3, 3))
-        for blocks, each, sums in pattern.parts():
-            K = (sums @ pairs[each]).reshape(-1, 3, 3)
-            both[blocks, 0] = K
-            both[blocks, 1] = K.swapaxes(1, 2)
-        return pattern.matrix(both)
+            pairs[tets] = self._pairs(tets, positive)
+        return summed(points.pattern, pairs.reshape(-1, 9))
 
     def _pairs(self, tets: slice, positive: bool) -> Array:
-        """Return the tangent of some tets for pairs a <= b of their vertices, (m p, 3, 3).
-
-        With g = R grad phi and the turning a = axial(R^T dF), whose stiffness is M,
-
-            lam g_a g_b^T + mu g_b g_a^T + mu grad phi_a . grad phi_b I + Y_a M Y_b^T,
-
-        Y_a = R [grad phi_a]x, summed over the tet's points.
-        """
+        """Return the tangent of some tets for pairs a <= b of vertices, (m, p, 3, 3)."""
         points = self.points
         q = points.weight.shape[1]
         at = slice(tets.start * q, tets.stop * q)
         D, w = points.gradient[tets], points.weight[tets]
-        m, c = D.shape[:2]
         mu, lam = self.mu[tets], self.lam[tets]
-        M = self._turning(at, self._each(mu), self._each(lam))
-        if positive:
-            M = _positive(M)
+        M = self._turning(at, self._each(mu), self._each(lam)).transpose(2, 0, 1)
+        M = _positive(M) if positive else np.ascontiguousarray(M)
         R = self.rotation[at]
-        grad = D.reshape(m, c, q, 3).transpose(0, 2, 3, 1).reshape(m * q, 3, c)
-        g = (R @ grad).transpose(0, 2, 1).reshape(m, q, 3 * c)
-        outer = (g * w[:, :, None]).transpose(0, 2, 1) @ g
-        cross = np.zeros((m * q, c, 3, 3))  # [grad phi_a]x, rows k, columns n
-        for n in range(3):
-            r, s = (n + 1) % 3, (n + 2) % 3
-            cross[:, :, r, n] = grad[:, s]
-            cross[:, :, s, n] = -grad[:, r]
-        # R^T on the left of every vertex's block, as one product: (c n, k) @ (k, i)
-        Y = cross.transpose(0, 1, 3, 2).reshape(-1, 3 * c, 3) @ R.transpose(0, 2, 1)
-        Y = Y.reshape(m, q, c, 3, 3).transpose(0, 2, 4, 1, 3).reshape(m, 3 * c, 3 * q)
-        wM = (M * w.reshape(-1, 1, 1)).reshape(m, q, 3, 3)
-        YM = (Y.reshape(m, 3 * c, q, 1, 3) @ wM[:, None]).reshape(m, 3 * c, 3 * q)
-        turning = YM @ Y.transpose(0, 2, 1)
-        one, other = np.triu_indices(c)
-        O = outer.reshape(m, c, 3, c, 3)[:, one, :, other].swapaxes(0, 1)  # noqa: E741
-        K = turning.reshape(m, c, 3, c, 3)[:, one, :, other].swapaxes(0, 1)
-        K += lam[:, None, None, None] * O
-        K += mu[:, None, None, None] * O.swapaxes(2, 3)
-        shear = mu[:, None] * points.products[tets]
-        for i in range(3):
-            K[:, :, i, i] += shear
-        return np.ascontiguousarray(K).reshape(-1, 3, 3)
+        if q == 1:
+            turned = R.transpose(0, 2, 1)
+            parts = (x.transpose(1, 2, 0) for x in (D[:, 1:] @ turned, R @ M @ turned))
+            return one_point(*map(np.ascontiguousarray, parts), w[:, 0], mu, lam)
+        return many_points(D, w, R, M, points.products[tets], (mu, lam))
 
     def _turning(self, at: slice, mu: Array, lam: Array) -> Array:
-        """Return stiffness against turning, (k, 3, 3): mu I + beta (tr S I - S)^-1."""
+        """Return stiffness against turning, (3, 3, k): mu I + beta (tr S I - S)^-1."""
         E = self.stretch[at]
         tr = self.trace[at]
         A = -E  # tr S I - S = (2 + tr E) I - E
@@ -260,10 +227,11 @@ class Turned:
             size, V = np.linalg.eigh(A[bad])
             size = np.maximum(size, LEAST)
             A[bad] = (V * size[:, None, :]) @ V.transpose(0, 2, 1)
-        M = beta[:, None, None] * np.linalg.inv(A)
-        M = (M + M.transpose(0, 2, 1)) / 2
-        M[:, [0, 1, 2], [0, 1, 2]] += mu[:, None]
-        return M
+        C, det = cofactors(np.ascontiguousarray(A.transpose(1, 2, 0)))
+        C *= beta / det
+        for i in range(3):
+            C[i, i] += mu
+        return C
 
     def _each(self, per_tet: Array) -> Array:
         return np.repeat(per_tet, self.points.weight.shape[1])

@@ -76,6 +76,20 @@ class Pattern:
             )
             yield slice(first, last), slice(self.start[first], self.start[last]), sums
 
+    @cached_property
+    def halves(self) -> tuple[csr_array, csr_array]:
+        """Sums over pairs in the order of the tets, (blocks, m p): as they are, swapped."""
+        order = np.empty(self.where.size, dtype=np.int32)
+        order[self.where.ravel()] = np.arange(len(order), dtype=np.int32)
+        turned = self.swapped.ravel()[order]
+        out = []
+        for chosen in (~turned, turned):
+            before = np.append(0, np.cumsum(chosen)).astype(np.int32)
+            some = order[chosen]
+            shape = (len(self.start) - 1, len(order))
+            out.append(csr_array((np.ones(len(some)), some, before[self.start]), shape=shape))
+        return out[0], out[1]
+
     def matrix(self, both: Array) -> csr_array:
         """Return the matrix (3n, 3n) of blocks (2 halves, 3, 3), each then its mirror."""
         indptr, indices, source = self._scalar
