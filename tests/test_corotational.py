@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import plantsim as ps
 from plantsim.elastic.polar import rotations
+from plantsim.elastic.warp import Warp
 
 TURN = Rotation.from_rotvec((0.5, -1.9, 1.1)).as_matrix()
 
@@ -222,6 +223,28 @@ def test_dragging_comes_to_the_same_place(model):
     assert np.allclose(state.displacement, known.displacement, atol=1e-5)
     apart = np.linalg.norm(state.force[tip] - known.force[tip])
     assert apart < 1e-4 * np.linalg.norm(known.force[tip])
+
+
+def test_a_linear_answer_is_led_along_its_rotations():
+    # a rod whose tip turns by a radian: a tangent stretches it, the warp does not
+    length, angle = 0.5, 1.0
+    mesh = ps.tetrahedralize(ps.sweep(ps.straight(length, 0.01), tips="flat"), order=1)
+    model = ps.ElasticModel(mesh, ps.Material(1e9), kinematics="corotational")
+    free = np.setdiff1d(np.arange(len(mesh.points)), model.fixed_ids)
+    x, z = mesh.points, mesh.points[:, 2]
+    turn = angle * z / length
+    u = np.stack(
+        [angle * z**2 / (2 * length), 0 * z, -turn * x[:, 0]], axis=1
+    )  # small turns
+    rest = model.deformed(np.zeros_like(x))
+    warped = Warp.of(rest.points, rest.mu, free)(rest, u)
+    tip = z > length - 1e-9
+    bow = length / angle * np.array((1 - np.cos(angle), 0, np.sin(angle)))
+    assert (x + warped)[tip].mean(axis=0) == pytest.approx(bow, abs=0.01 * length)
+    assert np.abs((x + u)[tip].mean(axis=0) - bow).max() > 0.1 * length
+    assert model.deformed(warped).energy < 0.02 * model.deformed(u).energy
+    small = Warp.of(rest.points, rest.mu, free)(rest, 1e-6 * u)
+    assert np.abs(small - 1e-6 * u).max() < 1e-5 * np.abs(1e-6 * u).max()
 
 
 def test_a_slide_holds_along_its_direction_only():

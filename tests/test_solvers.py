@@ -119,3 +119,25 @@ def test_compliance_is_vouched_for(fork, monkeypatch):
     known = ps.ElasticModel(fork.with_order(1), ps.Material()).contact([50, 60, 70, 80])
     apart = np.linalg.norm(whole.stiffness - known.stiffness)
     assert apart < 1e-7 * np.linalg.norm(known.stiffness)
+
+
+def test_a_factor_in_the_order_of_another_is_as_good(fork):
+    n = len(fork.points)
+    free = np.setdiff1d(np.arange(n), fork.sets["base"])
+    soft, stiff = (ps.ElasticModel(fork, ps.Material(E)) for E in (1e9, 3e9))
+    one = soft.base_factor()[1]
+    K = stiff.pattern.condense(stiff.stiffness, free, free)
+    other = ps.Direct().factor(K, fork.points[free], one)
+    assert other.known is one.ordering
+    f = np.random.default_rng(0).normal(size=(3 * len(free), 2))
+    u, _, error = other(f)
+    assert (error < 1e-12).all()
+    assert np.allclose(3 * u, one(f)[0], atol=1e-9 * np.abs(u).max())
+    assert other.definite
+    rows = np.arange(30, 42)
+    S = one.compliance(rows)
+    assert np.allclose(3 * other.compliance(rows), S, atol=1e-8 * np.abs(S).max())
+    # another pattern has its own order
+    some = free[:-5]
+    K = stiff.pattern.condense(stiff.stiffness, some, some)
+    assert ps.Direct().factor(K, fork.points[some], one).known is None

@@ -63,12 +63,22 @@ class Points:
         """Return the points of a mesh."""
         return cls(mesh, pattern, *point_gradients(mesh))
 
-    def at(self, u: Array, mu: Array, lam: Array) -> "Turned":
-        """Return what displacements u (n, 3) [m] do with moduli (m,) [Pa]."""
+    def gradients(self, u: Array) -> Array:
+        """Return grad u at every point, (m q, 3, 3), of displacements u (n, 3) [m]."""
         m, q = self.weight.shape
         H = u[self.mesh.tets].transpose(0, 2, 1) @ self.gradient  # (m, 3, 3q)
-        H = H.reshape(m, 3, q, 3).transpose(0, 2, 1, 3).reshape(-1, 3, 3)
-        return Turned(self, H, mu, lam)
+        return H.reshape(m, 3, q, 3).transpose(0, 2, 1, 3).reshape(-1, 3, 3)
+
+    def integral(self, P: Array) -> Array:
+        """Return the nodal forces (m, c, 3) of stresses P (m q, 3, 3)."""
+        m, q = self.weight.shape
+        P = P * self.weight.reshape(-1, 1, 1)
+        P = P.reshape(m, q, 3, 3).transpose(0, 1, 3, 2).reshape(m, 3 * q, 3)
+        return self.gradient @ P
+
+    def at(self, u: Array, mu: Array, lam: Array) -> "Turned":
+        """Return what displacements u (n, 3) [m] do with moduli (m,) [Pa]."""
+        return Turned(self, self.gradients(u), mu, lam)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +148,7 @@ class Turned:
     @cached_property
     def tet_forces(self) -> Array:
         """Nodal forces of each tet, (m, c, 3) [N]."""
-        return self._integral(self.rotation @ self._biot)
+        return self.points.integral(self.rotation @ self._biot)
 
     @cached_property
     def forces(self) -> Array:
@@ -149,8 +159,8 @@ class Turned:
         """Return nodal forces (m, c, 3) of each tet for mu = 1, for lam = 1."""
         R = self.rotation
         return (
-            self._integral(2 * R @ self.stretch),
-            self._integral(self.trace[:, None, None] * R),
+            self.points.integral(2 * R @ self.stretch),
+            self.points.integral(self.trace[:, None, None] * R),
         )
 
     @property
@@ -210,8 +220,9 @@ class Turned:
         R = self.rotation[at]
         if q == 1:
             turned = R.transpose(0, 2, 1)
-            parts = (x.transpose(1, 2, 0) for x in (D[:, 1:] @ turned, R @ M @ turned))
-            return one_point(*map(np.ascontiguousarray, parts), w[:, 0], mu, lam)
+            g = np.ascontiguousarray((D[:, 1:] @ turned).transpose(1, 2, 0))
+            M = np.ascontiguousarray((R @ M @ turned).transpose(1, 2, 0))
+            return one_point(g, M, w[:, 0], mu, lam)
         return many_points(D, w, R, M, points.products[tets], (mu, lam))
 
     def _turning(self, at: slice, mu: Array, lam: Array) -> Array:
@@ -235,14 +246,6 @@ class Turned:
 
     def _each(self, per_tet: Array) -> Array:
         return np.repeat(per_tet, self.points.weight.shape[1])
-
-    def _integral(self, P: Array) -> Array:
-        """Return the nodal forces (m, c, 3) of stresses P (k, 3, 3)."""
-        points = self.points
-        m, q = points.weight.shape
-        P = P * points.weight.reshape(-1, 1, 1)
-        P = P.reshape(m, q, 3, 3).transpose(0, 1, 3, 2).reshape(m, 3 * q, 3)
-        return points.gradient @ P
 
 
 def _positive(M: Array) -> Array:

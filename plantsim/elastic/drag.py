@@ -11,14 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array
+from plantsim.elastic.corotational import Turned
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Load, Move
-from plantsim.elastic.newton import CHEAP, large_equilibrium
+from plantsim.elastic.newton import large_equilibrium
+from plantsim.elastic.warp import Warp
 from plantsim.errors import ModelError
-from plantsim.solve.cg import refined
 
 if TYPE_CHECKING:
     from plantsim.elastic.model import ElasticModel
+
+
+LONGER = 2.0  # times the frame before that a frame may be, for its error to be of use
 
 
 class Drag:
@@ -40,40 +44,43 @@ class Drag:
         if start is None:
             start = model.solve(*loads)
         self.state = self._solve(start.displacement[ids], start, None)
-        self._last: tuple[Array, Array] | None = None  # what was asked for, and came
+        self._warp: Warp | None = None
+        # how far the vertices went [m], and how far the guess was off (n, 3)
+        self._last: tuple[float, Array] | None = None
 
     def to(self, displacement: ArrayLike) -> Equilibrium:
         """Return the equilibrium with the vertices moved by (3,) or (k, 3) [m]."""
         old = self.state
         goal = np.broadcast_to(np.asarray(displacement, dtype=float), (len(self.ids), 3))
         step = goal - old.displacement[self.ids]
-        guess, came = None, self._tangent_answer(step)
-        if came is not None:
-            guess = old.displacement + came
-            if self._last is not None:
-                before, then = self._last
-                if np.linalg.norm(step - before) < 0.2 * np.linalg.norm(step):
-                    guess = guess + (came - then) / 2
+        guess = self._guess(step)
+        plain, length = guess, float(np.linalg.norm(step))
+        if guess is not None and self._last is not None:
+            before, off = self._last
+            if length <= LONGER * before:
+                guess = guess + (length / before) ** 2 * off
         self.state = self._solve(goal, old, guess)
-        self._last = None if came is None else (step, came)
+        self._last = None
+        if plain is not None and length > 0:
+            self._last = length, self.state.displacement - plain
         return self.state
 
-    def _tangent_answer(self, step: Array) -> Array | None:
-        """Return the displacements (n, 3) by the latest tangent when the vertices move."""
+    def _guess(self, step: Array) -> Array | None:
+        """Return the displacements (n, 3) when the vertices move, by the latest tangent."""
         near = self.state.near
-        if near is None or not np.isfinite(step).all():
+        if near is None or not near.fresh or not np.isfinite(step).all():
             return None
         order = np.argsort(self.ids)
-        at = self.ids[order]
-        part = self.model.pattern.condense(near.K, near.free, at)
-        b = -(part @ step[order].ravel())
-        x = near.factor(b)[0] if near.fresh else refined(near.inner, near.factor, b, CHEAP)
-        if x is None:
-            return None
+        part = self.model.pattern.condense(near.K, near.free, self.ids[order])
+        x = near.factor(-(part @ step[order].ravel()))[0]
         out = np.zeros_like(self.state.displacement)
         out[self.ids] = step
         out[near.free] = x.reshape(-1, 3)
-        return out
+        here = self.state.deformed
+        assert isinstance(here, Turned)
+        if self._warp is None or not np.array_equal(self._warp.free, near.free):
+            self._warp = Warp.of(here.points, here.mu, near.free)
+        return self.state.displacement + self._warp(here, out)
 
     def _solve(self, goal: Array, start: Equilibrium, guess: Array | None) -> Equilibrium:
         loads = (*self.loads, Move(self.ids, goal))

@@ -268,7 +268,9 @@ class _Task:
     ) -> Near:
         """Return the tangent with a factor: of its own, or of an old tangent near it."""
         exact = None if positive else deformed.tangent()
-        if exact is not None and old is not None:
+        # a direct factor in the order of the last one costs 12 back-solves; CG on the last
+        # one takes as many and more, and leaves Newton a step more to do
+        if exact is not None and old is not None and old.factor.name != "direct":
             inner: Any = self.model.pattern.condense(exact, self.free, self.free)
             self.near = Near(self.free, exact, inner.tocsr(), old.factor, False)
             return self.near
@@ -293,7 +295,8 @@ class _Task:
     def _factored(self, inner: Any) -> Factor:
         self.factors += 1
         solver = choose(self.model.solver, inner.shape[0])
-        return solver.factor(inner, self.model.mesh.points[self.free])
+        like = self.near.factor if self.near is not None else None
+        return solver.factor(inner, self.model.mesh.points[self.free], like)
 
     def direction(self, near: Near, lack: Array, gap: Array) -> Array:
         """Return the step (k, 3) of the free vertices against forces out of balance."""

@@ -87,7 +87,9 @@ class Pattern:
             before = np.append(0, np.cumsum(chosen)).astype(np.int32)
             some = order[chosen]
             shape = (len(self.start) - 1, len(order))
-            out.append(csr_array((np.ones(len(some)), some, before[self.start]), shape=shape))
+            out.append(
+                csr_array((np.ones(len(some)), some, before[self.start]), shape=shape)
+            )
         return out[0], out[1]
 
     def matrix(self, both: Array) -> csr_array:

@@ -106,7 +106,7 @@ def many_points(
 def summed(pattern: Pattern, pairs: Array) -> csr_array:
     """Return the matrix (3n, 3n) of blocks (m p, 9) of pairs, in the order of the tets."""
     straight, swapped = pattern.halves
-    both = np.empty((straight.shape[0], 2, 3, 3))
+    both = np.empty((len(pattern.start) - 1, 2, 3, 3))
     K = (straight @ pairs).reshape(-1, 3, 3)
     K += (swapped @ pairs).reshape(-1, 3, 3).swapaxes(1, 2)
     both[:, 0] = K

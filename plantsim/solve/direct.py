@@ -7,7 +7,7 @@ import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse import bsr_array, csc_array, csr_matrix, triu
@@ -16,14 +16,12 @@ from scipy.sparse.linalg import splu
 from plantsim.arrays import Array
 from plantsim.errors import SolverError
 from plantsim.solve.half import Half
+from plantsim.solve.ordering import SYMMETRIC, Ordering
 from plantsim.solve.stats import backward_error, norm, norm_inf
 
-# SuperLU for symmetric positive definite matrices: no pivots are sought
-SYMMETRIC: dict[str, Any] = {
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.0,
-    "options": {"SymmetricMode": True},
-}
+if TYPE_CHECKING:
+    from plantsim.solve.solver import Factor
+
 # From here on PARDISO (extra `fast`) factors a plant faster than SuperLU: the same at
 # 180,000 unknowns, two thirds of the time at 409,000
 PARDISO_FROM = 200_000
@@ -53,22 +51,33 @@ class Direct:
 
     tolerance: float = 1e-10
 
-    def factor(self, K: bsr_array, points: Array) -> "DirectFactor":
-        """Return the factor of K; SolverError if K is singular."""
+    def factor(
+        self, K: bsr_array, points: Array, like: "Factor | None" = None
+    ) -> "DirectFactor":
+        """Return the factor of K; SolverError if K is singular.
+
+        `like`: a factor of a matrix of the same pattern, whose ordering will do.
+        """
         csr: Any = K.tocsr()
         if csr.shape[0] >= PARDISO_FROM and has_pardiso():
             return DirectFactor(csr, _Pardiso(csr), self.tolerance, backend="MKL PARDISO")
-        # K is symmetric, so its CSR arrays are its CSC arrays
-        csc: Any = csc_array((csr.data, csr.indices, csr.indptr), shape=csr.shape)
+        known = like.ordering if isinstance(like, DirectFactor) else None
         try:
+            if known is not None and known.fits(csr):
+                return DirectFactor(csr, known.factor(csr), self.tolerance, known=known)
             # columns of a plant have little in common: one at a time is 15 % faster
-            lu = splu(csc, panel_size=1, **SYMMETRIC)
+            lu = splu(_csc(csr), panel_size=1, **SYMMETRIC)
         except (RuntimeError, MemoryError) as why:
             raise SolverError(
-                f"direct: no factor of {csc.shape[0]:,} unknowns ({why}). If singular, "
+                f"direct: no factor of {csr.shape[0]:,} unknowns ({why}). If singular, "
                 "hold more vertices; if out of memory, use solver='multigrid'."
             ) from None
         return DirectFactor(csr, lu, self.tolerance)
+
+
+def _csc(K: Any) -> Any:
+    """Return a symmetric CSR matrix as CSC, whose arrays are the same."""
+    return csc_array((K.data, K.indices, K.indptr), shape=K.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +88,20 @@ class DirectFactor:
     lu: Any  # has solve(f)
     tolerance: float
     backend: str = "scipy SuperLU, MMD on A + A^T"
-    size: float = field(init=False)
     name: str = field(init=False, default="direct")
+    known: Ordering | None = None  # where it was made in another factor's order
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "size", norm_inf(self.K))
+    @cached_property
+    def size(self) -> float:
+        """A norm of K."""
+        return norm_inf(self.K)
+
+    @cached_property
+    def ordering(self) -> Ordering | None:
+        """For factors of the same pattern; PARDISO has none."""
+        if self.known is not None or isinstance(self.lu, _Pardiso):
+            return self.known
+        return Ordering.of(_csc(self.K), self.lu)
 
     @property
     def definite(self) -> bool:

@@ -12,7 +12,7 @@ from scipy.sparse import bsr_array, bsr_matrix
 
 from plantsim.arrays import Array
 from plantsim.errors import SolverError
-from plantsim.solve.direct import SYMMETRIC
+from plantsim.solve.ordering import SYMMETRIC
 from plantsim.solve.rigid import Rigid, rigid_modes
 from plantsim.solve.stats import backward_error, norm_inf
 
@@ -37,7 +37,7 @@ class Multigrid:
     max_iterations: int = 400
     strength: float = 0.08
 
-    def factor(self, K: bsr_array, points: Array) -> "MultigridFactor":
+    def factor(self, K: bsr_array, points: Array, like: Any = None) -> "MultigridFactor":
         """Set up the levels for K (3n, 3n) of vertices at points (n, 3)."""
         matrix = bsr_matrix(
             (K.data, K.indices, K.indptr), shape=K.shape

@@ -53,8 +53,11 @@ class Factor(Protocol):
 class Solver(Protocol):
     """Options of a method; a frozen value."""
 
-    def factor(self, K: bsr_array, points: Array) -> Factor:
-        """Prepare K (3n, 3n), positive definite, of vertices at points (n, 3) [m]."""
+    def factor(self, K: bsr_array, points: Array, like: Factor | None = None) -> Factor:
+        """Prepare K (3n, 3n), positive definite, of vertices at points (n, 3) [m].
+
+        `like`: a factor of a matrix of the same pattern, of which some may serve again.
+        """
         ...
 
 
