@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import errno
+import gc
 import json
 import os
 import resource
@@ -10,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -511,6 +513,30 @@ def test_a_disk_too_full_for_the_index_stops_the_run_with_a_sentence(
         ps.dataset(recipe, tmp_path / "out")
     monkeypatch.undo()
     assert len(ps.open_dataset(tmp_path / "out")) == 1  # which was made before that
+
+
+def test_nothing_of_a_plant_stays_in_the_process_that_made_it(
+    recipe, tmp_path, monkeypatch
+):
+    from plantsim.datasets import child, plant
+
+    (tmp_path / "plants").mkdir()
+    made = []
+
+    def noted(*given, **more):
+        model = ps.ElasticModel(*given, **more)
+        made.append(weakref.ref(model))
+        return model
+
+    monkeypatch.setattr(plant, "ElasticModel", noted)
+    gc.disable()  # as it is in effect, between few and large objects
+    try:
+        for i in range(2):
+            request = {"recipe": recipe.plain(), "plant": i, "folder": str(tmp_path)}
+            assert child.make(request)["row"]["status"] == "done"
+    finally:
+        gc.enable()
+    assert [model() for model in made] == [None, None]
 
 
 def test_two_runs_do_not_write_to_one_folder(bench, recipe):

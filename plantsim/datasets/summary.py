@@ -170,7 +170,7 @@ def _sheet(data: Dataset) -> bytes:
     named = [(f"{p.row['plant']}: {p.row['species']}", p.skeleton) for p in plants]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "sheet.png"
-        return contact_sheet(named, out, columns=min(6, len(named))).read_bytes()
+        return contact_sheet(named, out, columns=min(5, len(named))).read_bytes()
 
 
 def _picture(png: bytes, what: str) -> str:
