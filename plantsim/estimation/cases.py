@@ -2,7 +2,7 @@
 
 In a linear model proportional touches of the same vertices are one load case: their
 readings, each over its own share, are weighed by their precision. The cost changes by a
-constant, so the estimate is the same.
+constant, so the estimate is the same. In a corotational one equal touches are.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ import numpy as np
 from plantsim.arrays import Array, few, vertex_ids
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
-from plantsim.estimation.observation import Observation, wrench_modes
+from plantsim.estimation.observation import Observation, arms, wrench_modes
 
 EXACT = (
     1e-3  # noise of readings said to be exact, over the root mean square of the readings
@@ -42,11 +42,13 @@ class Case:
 def gather(model: ElasticModel, observations: Sequence[Observation]) -> tuple[Case, ...]:
     """Return the load cases of observations; EstimateError where the model denies one."""
     cases: list[Case] = []
+    linear = model.kinematics == "linear"
     for seen in observations:
         one = _case(model, seen)
         for other in cases:
             share = _share(one, other)
-            if share is not None:
+            # at large rotation only the same touch again is the same equilibrium
+            if share is not None and (linear or abs(share - 1) <= SAME):
                 _merge(other, one, share)
                 break
         else:
@@ -82,7 +84,8 @@ def _case(model: ElasticModel, seen: Observation) -> Case:
         forces.append(seen.force[order].ravel())
         weights.append(1 / _noise(seen, "force")[order].ravel() ** 2)
     if seen.wrench is not None:
-        modes = wrench_modes(model.mesh.points[moved])[:, : len(seen.wrench)]
+        at = arms(model, moved, seen.move[order])
+        modes = wrench_modes(at)[:, : len(seen.wrench)]
         feels.append(modes.T)
         forces.append(seen.wrench)
         weights.append(1 / _noise(seen, "wrench") ** 2)

@@ -18,6 +18,7 @@ from plantsim.elastic.loads import Move
 from plantsim.errors import EstimateError
 from plantsim.estimation.cases import EXACT
 from plantsim.estimation.estimate import Estimate
+from plantsim.estimation.large_response import respond
 from plantsim.estimation.observation import Observation, as_move
 from plantsim.estimation.posterior import limb_rows
 from plantsim.estimation.prediction import touch_case
@@ -110,7 +111,7 @@ def next_touch(
 
 
 def _changes(found: Estimate, move: Move, logs: Array) -> tuple[Response, Array, Array]:
-    response = Response(found.model, [touch_case(found.model, move)[0]])
+    response = respond(found.model, [touch_case(found.model, move)[0]])
     return response, *response.change_of(0, logs)
 
 

@@ -195,7 +195,8 @@ def observe(
         }
     elif len(state.moved) and feels != "nothing":
         size = 6 if feels == "wrench" else 3
-        modes = wrench_modes(model.mesh.points[state.moved])[:, :size]
+        moved = state.displacement[state.moved]
+        modes = wrench_modes(arms(model, state.moved, moved))[:, :size]
         w = modes.T @ (state.force - acting.force)[state.moved].ravel()
         noise = np.full(size, float(force_noise))
         if size == 6:
@@ -212,6 +213,11 @@ def observe(
         load=acting.force[at],
         **felt,
     )
+
+
+def arms(model: ElasticModel, ids: Array, move: Array) -> Array:
+    """Return where moved vertices act, (k, 3) [m]: at rest in linear theory, else moved."""
+    return model.mesh.points[ids] + (0 if model.kinematics == "linear" else move)
 
 
 def wrench_modes(points: Array) -> Array:

@@ -22,6 +22,7 @@ from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
+from plantsim.estimation.large_response import respond
 from plantsim.estimation.parameters import Chart
 from plantsim.estimation.response import Response
 
@@ -90,7 +91,7 @@ class Objective:
         mu, lam = np.split(chart.moduli(xi), 2)
         material = Material.lame(mu, lam, model.material.density)
         self.model = model.with_material(material)
-        self.response = Response(self.model, cases, like)
+        self.response = respond(self.model, cases, like)
         free = (3 * self.response.free[:, None] + np.arange(3)).ravel()
         self.weight = np.stack([c.displacement_weight[free] for c in cases], axis=1)
         seen = np.stack([c.displacement[free] for c in cases], axis=1)

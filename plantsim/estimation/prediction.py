@@ -12,8 +12,8 @@ from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError
 from plantsim.estimation.cases import Case, check_free
 from plantsim.estimation.estimate import Estimate
+from plantsim.estimation.large_response import respond
 from plantsim.estimation.observation import Observation, as_move
-from plantsim.estimation.response import Response
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,7 +67,7 @@ def predict(found: Estimate, touches: Any) -> tuple[Prediction, ...]:
     out = []
     for move in _moves(found.model, touches):
         case, order = touch_case(found.model, move)
-        response = Response(found.model, [case])
+        response = respond(found.model, [case])
         du, df = response.change_of(0, logs)
         back = np.argsort(order)
         u, std = response.field(0), np.zeros_like(found.model.mesh.points)

@@ -1,5 +1,7 @@
 """Response: displacements and contact forces of load cases, and their derivatives.
 
+Of a linear model here, of a corotational one in `large_response`.
+
 With K factored once, base fixed, and unit columns E of the moved components,
 
     Y = K^-1 E,   S = E^T Y,   f = S^-1 (d - (K^-1 b)_C),   u = K^-1 b + Y f,
@@ -11,6 +13,7 @@ and for a change v of the log-moduli, with x = K^-1 (W(u) diag(theta) v),
 The transposes cost one back-solve too. All load cases share K: all are solved at once.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -29,84 +32,42 @@ ACCEPTED = 1e-8  # backward error of an equilibrium
 MANY = 300  # columns that are solved for at a time
 
 
-class Response:
+class Response(ABC):
     """Load cases at one material. All arrays are over free components, cases last."""
 
+    model: ElasticModel
+    cases: Sequence[Case]
+    free: Array  # (f,) ids of the vertices that are not fixed
+    u: Array  # (3f, cases) [m]
+    force: list[Array]  # (3k,) of each case [N]: contact forces on its moved vertices
+
     def __init__(
-        self, model: ElasticModel, cases: Sequence[Case], like: "Response | None" = None
+        self, model: ElasticModel, cases: Sequence[Case], like: "Response | None"
     ) -> None:
-        """Factor K and solve for every case; `like` differs in the material alone."""
+        """Give the free components numbers; `like` differs in the material alone."""
         self._like = None if like is None else like._pattern
         self.model, self.cases = model, cases
-        self.free, self._factor = model.base_factor()
         n = len(model.mesh.points)
+        self.free = np.setdiff1d(np.arange(n), model.fixed_ids)
         self._place = np.full(n, -1)
         self._place[self.free] = np.arange(len(self.free))
         self._at = [self.rows(case.moved) for case in cases]
-        self._columns = self._compliance()
-        self._inverse = [
-            self._positive(Y[at]) if len(at) else np.zeros((0, 0))
-            for Y, at in zip(self._columns, self._at, strict=True)
-        ]
-        loads = np.stack([case.load[self.free].ravel() for case in cases], axis=1)
-        self.u = self.solve(loads, check=True) if loads.any() else np.zeros_like(loads)
-        self.force: list[Array] = []
-        for t, (case, at) in enumerate(zip(cases, self._at, strict=True)):
-            f = self._inverse[t] @ (case.goal - self.u[at, t])
-            self.u[:, t] += self._columns[t] @ f
-            self.force.append(f)
-        self._check(loads)
 
-    def _check(self, loads: Array) -> None:
-        """Raise SolverError where an equilibrium misses its backward error."""
-        for t, at in enumerate(self._at):
-            f = loads[:, t].copy()
-            f[at] += self.force[t]
-            Ku = (self.model.stiffness @ self.field(t).ravel()).reshape(-1, 3)
-            r = Ku[self.free].ravel() - f
-            error = norm(r) / max(self.model.size * norm(self.u[:, t]) + norm(f), 1e-300)
-            if not error <= ACCEPTED:
-                raise SolverError(
-                    f"estimate: backward error {error:.1e} of a touch, wanted "
-                    f"{ACCEPTED:.0e}. Moduli differ too much, or moved vertices lie too "
-                    "close together: smooth the parameters, or move fewer."
-                )
+    @abstractmethod
+    def change(self, log: Array) -> tuple[Array, list[Array]]:
+        """Return du (free, cases) [m] and df of each case for a change of log-moduli."""
+
+    @abstractmethod
+    def pull(self, by_u: Array, by_f: Sequence[Array]) -> Array:
+        """Return the transpose of `change` of (free, cases) and one (3k,) a case."""
+
+    @abstractmethod
+    def change_of(self, t: int, columns: Any) -> tuple[Array, Array]:
+        """Return du (free, q) and df (3k, q) of case t for many changes, sparse (2m, q)."""
 
     def rows(self, ids: Array) -> Array:
         """Return the places of vertices' components among the free ones."""
         return (3 * self._place[ids][:, None] + np.arange(3)).ravel()
-
-    def solve(self, loads: Array, check: bool = False) -> Array:
-        """Return K^-1 loads, (free, k)."""
-        return self._factor(np.asfortranarray(loads), check=check)[0]
-
-    def _compliance(self) -> list[Array]:
-        """Return Y of every case."""
-        ids = [case.moved for case in self.cases]
-        all_ids = np.unique(np.concatenate(ids))
-        at = self.rows(all_ids)
-        Y = np.empty((3 * len(self.free), len(at)), order="F")
-        for start in range(0, len(at), MANY):
-            part = at[start : start + MANY]
-            E = np.zeros((len(Y), len(part)), order="F")
-            E[part, np.arange(len(part))] = 1
-            Y[:, start : start + MANY] = self.solve(E)
-        where = [np.searchsorted(all_ids, own) for own in ids]
-        if len(ids) == 1:
-            return [Y]
-        return [Y[:, (3 * w[:, None] + np.arange(3)).ravel()] for w in where]
-
-    @staticmethod
-    def _positive(S: Array) -> Array:
-        try:
-            cholesky = scipy.linalg.cho_factor((S + S.T) / 2)
-        except scipy.linalg.LinAlgError:
-            raise EstimateError(
-                f"the {len(S) // 3} moved vertices of a touch cannot be told apart "
-                "numerically. Leave out those that lie closest together."
-            ) from None
-        inverse = scipy.linalg.cho_solve(cholesky, np.eye(len(S)))
-        return (inverse + inverse.T) / 2
 
     def field(self, t: int) -> Array:
         """Return the displacement (n, 3) [m] of all vertices in case t."""
@@ -151,6 +112,83 @@ class Response:
     def _transposed(self) -> Any:
         return self.W.T
 
+    def _dense(self, t: int, columns: Any) -> Array:
+        """Return the forces of case t by many changes, (free, q)."""
+        nf = 3 * len(self.free)
+        loads = self.W[t * nf : (t + 1) * nf] @ columns
+        return loads.toarray(order="F") if hasattr(loads, "toarray") else loads
+
+
+class LinearResponse(Response):
+    """Of a linear model: one factor, base fixed, serves all cases."""
+
+    def __init__(
+        self, model: ElasticModel, cases: Sequence[Case], like: Response | None = None
+    ) -> None:
+        """Factor K and solve for every case."""
+        super().__init__(model, cases, like)
+        _, self._factor = model.base_factor()
+        self._columns = self._compliance()
+        self._inverse = [
+            self._positive(Y[at]) if len(at) else np.zeros((0, 0))
+            for Y, at in zip(self._columns, self._at, strict=True)
+        ]
+        loads = np.stack([case.load[self.free].ravel() for case in cases], axis=1)
+        self.u = self.solve(loads, check=True) if loads.any() else np.zeros_like(loads)
+        self.force: list[Array] = []
+        for t, (case, at) in enumerate(zip(cases, self._at, strict=True)):
+            f = self._inverse[t] @ (case.goal - self.u[at, t])
+            self.u[:, t] += self._columns[t] @ f
+            self.force.append(f)
+        self._check(loads)
+
+    def _check(self, loads: Array) -> None:
+        """Raise SolverError where an equilibrium misses its backward error."""
+        for t, at in enumerate(self._at):
+            f = loads[:, t].copy()
+            f[at] += self.force[t]
+            Ku = (self.model.stiffness @ self.field(t).ravel()).reshape(-1, 3)
+            r = Ku[self.free].ravel() - f
+            error = norm(r) / max(self.model.size * norm(self.u[:, t]) + norm(f), 1e-300)
+            if not error <= ACCEPTED:
+                raise SolverError(
+                    f"estimate: backward error {error:.1e} of a touch, wanted "
+                    f"{ACCEPTED:.0e}. Moduli differ too much, or moved vertices lie too "
+                    "close together: smooth the parameters, or move fewer."
+                )
+
+    def solve(self, loads: Array, check: bool = False) -> Array:
+        """Return K^-1 loads, (free, k)."""
+        return self._factor(np.asfortranarray(loads), check=check)[0]
+
+    def _compliance(self) -> list[Array]:
+        """Return Y of every case."""
+        ids = [case.moved for case in self.cases]
+        all_ids = np.unique(np.concatenate(ids))
+        at = self.rows(all_ids)
+        Y = np.empty((3 * len(self.free), len(at)), order="F")
+        for start in range(0, len(at), MANY):
+            part = at[start : start + MANY]
+            E = np.zeros((len(Y), len(part)), order="F")
+            E[part, np.arange(len(part))] = 1
+            Y[:, start : start + MANY] = self.solve(E)
+        where = [np.searchsorted(all_ids, own) for own in ids]
+        if len(ids) == 1:
+            return [Y]
+        return [Y[:, (3 * w[:, None] + np.arange(3)).ravel()] for w in where]
+
+    @staticmethod
+    def _positive(S: Array) -> Array:
+        try:
+            cholesky = scipy.linalg.cho_factor((S + S.T) / 2)
+        except scipy.linalg.LinAlgError:
+            raise EstimateError(
+                f"the {len(S) // 3} moved vertices of a touch cannot be told apart "
+                "numerically. Leave out those that lie closest together."
+            ) from None
+        inverse = scipy.linalg.cho_solve(cholesky, np.eye(len(S)))
+        return (inverse + inverse.T) / 2
+
     def change(self, log: Array) -> tuple[Array, list[Array]]:
         """Return du (free, cases) [m] and df of each case for a change of log-moduli."""
         T = len(self.cases)
@@ -173,18 +211,10 @@ class Response:
 
     def change_of(self, t: int, columns: Any) -> tuple[Array, Array]:
         """Return du (free, q) and df (3k, q) of case t for many changes, sparse (2m, q)."""
-        nf = 3 * len(self.free)
-        loads = self.W[t * nf : (t + 1) * nf] @ columns
-        x = self.solve(loads.toarray(order="F") if hasattr(loads, "toarray") else loads)
+        x = self.solve(self._dense(t, columns))
         at = self._at[t]
         df = self._inverse[t] @ x[at]
         return self._columns[t] @ df - x, df
-
-    def force_rows(self, t: int) -> Array:
-        """Return d f / d log-moduli of case t, (3k, 2m), with no solve at all."""
-        nf = 3 * len(self.free)
-        rows = self._inverse[t] @ self._columns[t].T
-        return (self._transposed[:, t * nf : (t + 1) * nf] @ rows.T).T
 
 
 def _pattern(tets: Array, place: Array, rows: int) -> tuple[Array, Array, Array]:
