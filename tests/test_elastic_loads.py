@@ -86,6 +86,8 @@ def test_traction_is_stress_times_area(cantilever):
         tip = np.flatnonzero(mesh.points[:, 2] > 0.3 - 1e-9)
         (even,) = ps.traction(tip, (1.0, 2.0, 3.0)).parts(mesh)
         (inward,) = ps.traction(tip, 5.0).parts(mesh)
+        (named,) = ps.traction("tip", 5.0).parts(mesh.with_sets(tip=tip))
+        assert (named.force == inward.force).all()
         x = mesh.points[mesh.surface[:, :3]]
         area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
         flat = area[(x[:, :, 2] > 0.3 - 1e-9).all(axis=1)].sum()

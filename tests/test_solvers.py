@@ -51,6 +51,33 @@ def test_multigrid_iterations_do_not_grow_with_refinement(reference):
     assert iterations[1] <= 1.5 * iterations[0]
 
 
+def test_multigrid_takes_every_connected_piece_for_itself(fork):
+    n = len(fork.points)
+    far = fork.points + [7.0, -3.0, 11.0]
+    both = ps.TetMesh(
+        np.vstack([fork.points, far]),
+        np.vstack([fork.tets, fork.tets + n]),
+        sets={"base": np.append(fork.sets["base"], fork.sets["base"] + n)},
+    )
+    one, two = (
+        ps.ElasticModel(m, ps.Material(density=900), solver="multigrid").solve(ps.gravity())
+        for m in (fork, both)
+    )
+    assert two.stats.iterations <= one.stats.iterations + 3
+    for part in (two.displacement[:n], two.displacement[n:]):
+        apart = np.linalg.norm(part - one.displacement)
+        assert apart <= 1e-6 * np.linalg.norm(one.displacement)
+
+
+def test_a_large_second_level_gets_a_third(fork, monkeypatch):
+    known = ps.ElasticModel(fork, ps.Material(), solver="direct").solve(ps.gravity())
+    monkeypatch.setattr("plantsim.solve.multigrid.COARSE", 20)
+    state = ps.ElasticModel(fork, ps.Material(), solver="multigrid").solve(ps.gravity())
+    assert "3 levels" in state.stats.backend
+    apart = np.linalg.norm(state.displacement - known.displacement)
+    assert apart <= 1e-5 * np.linalg.norm(known.displacement)
+
+
 def test_rigid_modes_are_rigid(fork):
     B = rigid_modes(fork.points)
     K = ps.ElasticModel(fork, ps.Material()).stiffness

@@ -126,6 +126,24 @@ def bending_tip(
     return 4 * length**3 / (3 * np.pi * young * base_radius**3 * tip_radius)
 
 
+def end_moment(
+    length: float, base_radius: float, tip_radius: float, young: float
+) -> tuple[float, float]:
+    """Return turn [rad] and deflection [m] of a round bar's tip by an end moment of 1 N m.
+
+    4 L (a^2 + a b + b^2) / (3 pi E a^3 b^3) and 2 L^2 (a + 2 b) / (3 pi E a^3 b^2) for
+    radii a to b, by the unit-load theorem. Source: Gere and Goodno, chapter 9.
+
+    >>> EI = 6e9 * np.pi * 0.02**4 / 4
+    >>> turn, deflection = end_moment(3.0, 0.02, 0.02, 6e9)
+    >>> round(turn * EI, 9), round(deflection * EI, 9)
+    (3.0, 4.5)
+    """
+    a, b = base_radius, tip_radius
+    turn = 4 * length * (a * a + a * b + b * b) / (3 * np.pi * young * a**3 * b**3)
+    return turn, 2 * length**2 * (a + 2 * b) / (3 * np.pi * young * a**3 * b**2)
+
+
 def beam_middle(
     length: float,
     radius: float,
