@@ -13,6 +13,7 @@ mesh's own error: so the thick one is bent so, too.
 """
 
 import argparse
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,7 @@ class Row:
     tets: int
     analytic: float  # [m]
     ours: float  # [m]
+    seconds: float  # CPU: the mesh and this solve
 
     @property
     def error(self) -> float:
@@ -101,16 +103,20 @@ def loads(shape: str, end: np.ndarray) -> list[tuple[str, object, int, float]]:
 
 def deflections(shape: str, order: int, size: float | None) -> list[Row]:
     """Return all loads on one mesh."""
+    began = time.process_time()
     solid = ps.sweep(limb(shape), tips="flat")
     mesh = ps.tetrahedralize(solid, size, order=order)
     model = ps.ElasticModel(mesh, ps.Material(YOUNG, SHAPES[shape][2], DENSITY))
     off = mesh.points - solid.tubes[0].axis(1.0)
     end = np.flatnonzero(np.abs(off @ solid.tubes[0].tangent(1.0)) < 1e-9)
+    meshed = time.process_time() - began
     rows = []
     for load, act, axis, analytic in loads(shape, end):
+        began = time.process_time()
         ours = float(model.solve(act).displacement[end, axis].mean())
+        took = meshed + time.process_time() - began
         rows.append(
-            Row(shape, load, order, size or DEFAULT, len(mesh.tets), analytic, ours)
+            Row(shape, load, order, size or DEFAULT, len(mesh.tets), analytic, ours, took)
         )
     return rows
 
@@ -143,13 +149,15 @@ def main(sizes: dict[int, tuple[float, ...]] = SIZES) -> list[Row]:
     ]
     rows.sort(key=lambda r: (r.shape, r.load, r.order, -r.size))
     print(
-        "| cantilever | load | order | size | tets | beam theory, mm | ours, mm | error |"
+        "| cantilever | load | order | size | tets | beam theory, mm | ours, mm | error | "
+        "s |"
     )
-    print("|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|")
     for r in rows:
         print(
             f"| {r.shape} | {r.load} | {r.order} | {r.size} | {r.tets:,} | "
-            f"{1000 * r.analytic:.5f} | {1000 * r.ours:.5f} | {100 * r.error:+.2f} % |"
+            f"{1000 * r.analytic:.5f} | {1000 * r.ours:.5f} | {100 * r.error:+.2f} % | "
+            f"{r.seconds:.2f} |"
         )
     if sizes is SIZES:
         print("\n| cantilever | load | order | rate of convergence |\n|---|---|---|---|")
