@@ -164,7 +164,7 @@ def packages() -> plt.Figure:
         values = [number(r[s]) for s in stages]
         ax.bar(at, values, wide, color=COLOURS[i], label=r["package"], edgecolor="white")
     ax.set_xticks(np.arange(len(stages)), [s.replace(", ", ",\n") for s in stages])
-    ax.set(yscale="log", ylim=(0.2, 3000), ylabel="CPU ms, smaller is better")
+    ax.set(yscale="log", ylim=(0.05, 3000), ylabel="CPU ms, smaller is better")
     ax.tick_params(axis="x", labelsize=8)
     ax.legend(frameon=False, fontsize=8, ncols=len(rows))
     return figure

@@ -22,9 +22,10 @@ from plantsim.solve.stats import backward_error, norm, norm_inf
 if TYPE_CHECKING:
     from plantsim.solve.solver import Factor
 
-# From here on PARDISO (extra `fast`) factors a plant faster than SuperLU: the same at
-# 180,000 unknowns, two thirds of the time at 409,000
-PARDISO_FROM = 200_000
+# From here on PARDISO (extra `fast`) is used: at 396,000 unknowns of a plant it takes as
+# much CPU time as SuperLU, and at 524,000 SuperLU broke down (386 s); below, SuperLU is
+# ahead, twofold in solves after the factor (benchmarks/solvers.py)
+PARDISO_FROM = 400_000
 # Right-hand sides at a time. Six take half of the time of six alone. With twelve BLAS
 # starts threads, which gain nothing; on a busy machine thirty took six times as long
 STRIP = 6
@@ -45,7 +46,7 @@ class Direct:
     """A sparse factor: SuperLU without pivoting, ordered by minimum degree on A + A^T.
 
     A plant is nearly one-dimensional, so the fill stays small up to some 400,000 unknowns.
-    Above 200,000 PARDISO is used instead where pypardiso is installed. `tolerance`: the
+    From there on PARDISO is used instead where pypardiso is installed. `tolerance`: the
     largest backward error that is accepted.
     """
 

@@ -62,11 +62,11 @@ class Solver(Protocol):
 
 
 Choice = Solver | Literal["auto", "direct", "multigrid"]
-# What "auto" goes by (measured: benchmarks/solvers.py). SuperLU and multigrid take the same
-# CPU time for one solve at 439,000 unknowns of a plant; SuperLU half of it at 197,000
+# What "auto" goes by (measured: benchmarks/solvers.py). At 396,000 unknowns of a plant
+# SuperLU takes 7 s of CPU, multigrid 10 for its set-up and one solve, 6 for every other
 DIRECT_LIMIT = 400_000
-# PARDISO takes half of multigrid's time at 439,000, and 32 s in 7.7 GiB at 847,000; with
-# nearly twice the memory of multigrid, it would come near the 20 GB at 2 million
+# At 693,000 PARDISO takes 16 s in 5.8 GiB, multigrid 27 s in 3.3; at 2.2 million PARDISO
+# found no factor in the memory there was
 PARDISO_LIMIT = 1_000_000
 
 
