@@ -57,6 +57,14 @@ def test_the_kernels_agree(both):
     assert (b / a != 1).all()
 
 
+@pytest.mark.parametrize("species", ["pepper", "quaking_aspen", "weeping_willow"])
+def test_the_kernels_agree_on_plants(species):
+    solid = ps.sweep(ps.weber_penn(species, rng=5).pruned(max_limbs=5))
+    one, other = (ps.tetrahedralize(solid, kernel=k) for k in ("occ", "union"))
+    assert other.volume == pytest.approx(one.volume, rel=0.02)
+    assert tips(solid, other) == pytest.approx(tips(solid, one), rel=0.02)
+
+
 def test_union_mesh_is_sound(both):
     mesh = both[1]["union"]
     assert mesh.quality.min() >= 0.05

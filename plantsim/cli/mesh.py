@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 import plantsim as ps
-from plantsim.cli.app import Json, app, reporting, working
+from plantsim.cli.app import Json, Report, app, reporting, working
 from plantsim.errors import ModelError
 from plantsim.mesh.files import FORMATS
 from plantsim.mesh.surfaces import SURFACES
@@ -105,6 +105,7 @@ def mesh(
             sets={name: len(ids) for name, ids in found.sets.items()},
         )
         report.tell(str(found.size_report()))
+        _tell_attempts(report, found)
         for name, ids in found.sets.items():
             if name not in limbs:
                 report.tell(f"  set {name}: {len(ids):,} vertices")
@@ -115,6 +116,16 @@ def mesh(
                 report.wrote(found.plot(picture))
         if quality is not None:
             report.wrote(Path(ps.figure_quality(found, quality)))
+
+
+def _tell_attempts(report: Report, mesh: ps.TetMesh) -> None:
+    """Tell every attempt at a solid: its seconds by step, and why it failed if it did."""
+    made = list((mesh.report or {}).get("attempts", ()))
+    for i, note in enumerate(made):
+        steps = ", ".join(f"{step} {s:.2f} s" for step, s in note["seconds"].items())
+        filler = note.get("algorithm", "no filler yet")
+        ended = f"; failed: {note['failure']}" if "failure" in note else ""
+        report.tell(f"  attempt {i + 1}, {filler}: {steps}{ended}", attempts=made)
 
 
 @contextmanager
