@@ -169,7 +169,8 @@ def tetgen(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def gmsh(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     from plantsim.solid import gmsh_model
 
-    return gmsh_model.fill(points, faces, gmsh_model.HXT)
+    still = np.ones(len(points), dtype=bool)  # not shaken, as it is not for the others
+    return gmsh_model.fill(points, faces, still, gmsh_model.HXT)
 
 
 def peers(log: Log, limbs: int, count: int) -> None:

@@ -127,6 +127,19 @@ def test_a_signal_leaves_nothing_behind(tmp_path, way, sent):
     assert not list(temporary.iterdir())
 
 
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
+def test_memory_does_not_climb():
+    def held():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+    solid, after = ps.sweep(ps.fork()), []
+    for _ in range(16):
+        ps.tetrahedralize(solid, 1.5, order=1)
+        after.append(held())
+    # a mesh and what it was made of take some megabytes
+    assert max(after[12:]) - max(after[4:8]) < 2e6
+
+
 def test_no_stray_output(capfd, tmp_path, monkeypatch):
     solid = ps.sweep(ps.whorl())
     ps.tetrahedralize(solid, order=1)

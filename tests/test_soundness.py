@@ -120,6 +120,11 @@ def test_a_hole_inside_is_seen(solid, plain):
         check_sound(solid, without(fine, keep))
 
 
+def test_a_mesh_without_a_foot_is_refused(solid, fork):
+    with pytest.raises(ps.MeshError, match="limb 0: no vertex is on the flat foot"):
+        check_sound(solid, replace(fork, sets={}))
+
+
 def test_a_swollen_mesh_is_seen(solid, fork):
     with pytest.raises(ps.MeshError, match=r"volume is \+1\d.* at limb"):
         check_sound(solid, replace(fork, points=fork.points * [1.06, 1.06, 1.0]))

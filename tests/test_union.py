@@ -65,6 +65,18 @@ def test_the_kernels_agree_on_plants(species):
     assert tips(solid, other) == pytest.approx(tips(solid, one), rel=0.02)
 
 
+def test_a_foot_among_joints_stays_flat():
+    # a stalk as short as it is thick, full of joints: mmg once rounded its foot off
+    solid = ps.sweep(ps.weber_penn("strawberry", rng=5000).pruned(max_limbs=6))
+    mesh = ps.tetrahedralize(solid, kernel="union", order=1)
+    assert len(mesh.sets["base"]) >= 7
+    assert mesh.points[:, 2].min() > -1e-12
+    disc = mesh.points[mesh.sets["base"], :2]
+    assert np.linalg.norm(disc, axis=1).max() == pytest.approx(
+        solid.tubes[0].radii[0], rel=0.05
+    )
+
+
 def test_union_mesh_is_sound(both):
     mesh = both[1]["union"]
     assert mesh.quality.min() >= 0.05

@@ -16,8 +16,8 @@ def check_sound(solid: Solid, mesh: TetMesh) -> int:
 
     Held: worst gamma, one body joined through faces, one closed surface without edges or
     vertices where it touches itself (so that V - E + F is 2 - 2 genus), every limb there up
-    to its tip, and the volume. TetMesh itself refuses inverted and folded tets and vertices
-    in no tet.
+    to its tip, a foot, and the volume. TetMesh itself refuses inverted and folded tets and
+    vertices in no tet.
     """
     worst = int(mesh.quality.argmin())
     if mesh.quality[worst] < WORST:
@@ -53,6 +53,11 @@ def check_sound(solid: Solid, mesh: TetMesh) -> int:
                 f"limb {tube.name} is not in the mesh up to its tip. Lengthen it, or drop "
                 "it: skeleton.pruned(min_radius=...)."
             )
+    if not len(mesh.sets.get("base", ())):
+        raise MeshError(
+            f"limb {solid.tubes[0].name}: no vertex is on the flat foot, to hold the plant "
+            "by. Start its limbs higher up."
+        )
     off = mesh.volume / solid.volume - 1
     if abs(off) > VOLUME:
         mine = np.bincount(np.asarray(mesh.region), mesh.volumes, len(solid.tubes))

@@ -346,9 +346,11 @@ def _joint_fault(limb: Limb | Tube, parent: Tube, joint: float, away: float) -> 
     thick = float(parent.radius(joint))
     radii = limb.radii if isinstance(limb, Tube) else limb.radius
     if away > 0.7 * thick:
+        x, y, z = parent.axis(joint)
         return (
             f"limb {limb.name} starts {away:.3g} m off the axis of limb {parent.name} "
-            f"(radius {thick:.3g} m). Start it on its parent's axis."
+            f"(radius {thick:.3g} m). Start it on its parent's axis, as at "
+            f"({x:.4g}, {y:.4g}, {z:.4g})."
         )
     if radii[0] > JOINT * thick * (1 + 1e-9):
         return (

@@ -102,7 +102,9 @@ def mended(
         hit = free[union.faces].any(axis=1)
         free[union.faces[hit]] = True
     size = EDGE * 2 * np.pi / around * radius
-    near = np.asarray(free[union.faces].any(axis=1))
+    # mmg would round the rim of a foot or flat tip off: their discs stay
+    disc = flat_ends(solid, union.points)[union.faces].all(axis=1)
+    near = np.asarray(free[union.faces].any(axis=1) & ~disc)
     if not near.any():
         return union, np.zeros(len(union.points), dtype=bool)
     new = remeshed(union.points, union.faces, union.limb, near, size, GRADING)
