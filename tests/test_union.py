@@ -8,6 +8,7 @@ import plantsim as ps
 from plantsim.elastic.analytic import cantilever_tip
 from plantsim.plant.skeleton import Polyline
 from plantsim.solid.crossings import crossings
+from plantsim.solid.tetrahedralize import grow
 
 for package in ("manifold3d", "mmgpy"):
     pytest.importorskip(package, reason="the extra `fast` is not installed")
@@ -71,10 +72,9 @@ def test_a_foot_among_joints_stays_flat():
     mesh = ps.tetrahedralize(solid, kernel="union", order=1)
     assert len(mesh.sets["base"]) >= 7
     assert mesh.points[:, 2].min() > -1e-12
-    disc = mesh.points[mesh.sets["base"], :2]
-    assert np.linalg.norm(disc, axis=1).max() == pytest.approx(
-        solid.tubes[0].radii[0], rel=0.05
-    )
+    reach = np.linalg.norm(mesh.points[mesh.sets["base"], :2], axis=1).max()
+    # of order 1 rings are larger, to make up for their polygon
+    assert reach == pytest.approx(grow(7, 1) * solid.tubes[0].radii[0], rel=0.01)
 
 
 def test_union_mesh_is_sound(both):
