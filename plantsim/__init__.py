@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from plantsim.datasets.recipe import Recipe as Recipe
     from plantsim.elastic.detachment import Detachment as Detachment
     from plantsim.elastic.detachment import detachment as detachment
+    from plantsim.elastic.detachment import fruit_names as fruit_names
     from plantsim.elastic.equilibrium import Equilibrium as Equilibrium
     from plantsim.elastic.files import write_state as write_state
     from plantsim.elastic.files import write_states as write_states
@@ -102,7 +103,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "plantsim.elastic.detachment": ("Detachment", "detachment"),
+    "plantsim.elastic.detachment": ("Detachment", "detachment", "fruit_names"),
     "plantsim.datasets.generate": ("dataset",),
     "plantsim.datasets.reading": ("Dataset", "open_dataset"),
     "plantsim.datasets.recipe": ("Recipe",),

@@ -38,8 +38,15 @@ def test_a_push_that_would_break_a_limb_warns(rod):
 
 
 def test_woods_have_their_table():
-    for name in ps.wood_names():
+    stems = {name for name in ps.wood_names() if name.endswith("_stem")}
+    for name in stems:
+        stem = ps.wood(name)
+        assert 5e7 < stem.young < 1e9
+        # green tissue bears a few per cent of strain before it breaks, wood less than one
+        assert 0.02 < stem.strength / stem.young < 0.2
+    for name in set(ps.wood_names()) - stems:
         wood = ps.wood(name)
+        assert 0.005 < wood.strength / wood.young < 0.008
         assert 5e9 < wood.young < 12e9
         assert 30e6 < wood.strength < 80e6
         assert 600 < wood.density < 1200
@@ -58,6 +65,14 @@ def test_fruit_come_off():
     assert not apple.parts(20.0, 0.02)
     with pytest.raises(ps.ModelError, match="apple"):
         ps.detachment("lamp")
+    for name in ps.fruit_names():
+        fruit = ps.detachment(name)
+        assert any(year in fruit.source for year in ("19", "20"))
+        assert 1 < fruit.force < 100
+        assert fruit.parts(1.01 * fruit.force)
+        assert not fruit.parts(0.99 * fruit.force)
+    with pytest.raises(ps.ModelError, match="torque"):
+        ps.detachment("orange").parts(10.0, 0.1)
 
 
 @pytest.mark.parametrize("kinematics", ["linear", "corotational"])
@@ -78,6 +93,21 @@ def test_the_unloaded_plant_sags_to_the_shape_seen(kinematics):
     assert lift == pytest.approx(-sagged.displacement[:, 2].min(), rel=0.2)
     with pytest.raises(ps.ModelError, match="no load"):
         model.unloaded(ps.move([5], (0, 0, 1)))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_an_apple_tree_with_fruit_is_not_bent_twice(order):
+    tree = ps.weber_penn("apple", rng=7, levels=2).pruned(min_radius=0.012)
+    tree = tree.with_fruit(count=20, mass=0.2, rng=1)
+    mesh = ps.tetrahedralize(ps.sweep(tree), 1.6, order=order)
+    soft = ps.wood("apple").with_young(1e9)
+    model = ps.ElasticModel(mesh, soft, kinematics="corotational")
+    loads = ps.gravity(masses=tree.masses).parts(mesh)
+    sag = np.abs(model.settled(*loads).displacement).max()
+    assert sag > 3e-3
+    free = model.unloaded(*loads)
+    again = free.mesh.points + free.settled(*loads).displacement
+    assert np.abs(again - mesh.points).max() < 2e-6 < 1e-3 * sag
 
 
 def test_vibrations_about_a_state_tell_of_buckling(rod):

@@ -263,7 +263,9 @@ class ElasticModel:
 
         For a plant scanned or photographed where it stands: under `loads` (its own weight
         where none are given) the model returned has the scanned shape, to `tolerance` [m],
-        so that it is not bent twice. Raises SolverError where there is no such shape.
+        so that it is not bent twice. What hangs is borne by the vertices nearest to it in
+        the scanned shape: take `loads = ps.gravity(masses=skeleton.masses).parts(mesh)` for
+        this and for what follows. Raises SolverError where there is no such shape.
         """
         return unloaded(self, loads or (gravity(),), tolerance)[0]
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plantsim.elastic.equilibrium import Equilibrium
-from plantsim.elastic.loads import Load, Move
+from plantsim.elastic.loads import Composite, Load, Move
 from plantsim.errors import ModelError, SolverError
 from plantsim.mesh.tetmesh import TetMesh
 
@@ -29,6 +29,12 @@ def unloaded(
     if any(isinstance(load, Move) for load in loads):
         raise ModelError("unloaded: moved vertices are no load. Give forces and gravity.")
     shape, mesh = model.mesh.points, model.mesh
+    # what hangs stays on the vertices that bear it where the plant was seen
+    loads = tuple(
+        part
+        for load in loads
+        for part in (load.parts(mesh) if isinstance(load, Composite) else (load,))
+    )
     rest = shape.copy()
     state, trail, off = None, [], np.inf
     for _ in range(TURNS):

@@ -1,4 +1,4 @@
-"""Green woods by name, with their sources."""
+"""Green woods, and some stems, by name, with their sources."""
 
 import tomllib
 from functools import cache
@@ -23,7 +23,7 @@ def wood_names() -> tuple[str, ...]:
 
 
 def wood(name: str, *, poisson: float = POISSON) -> Material:
-    """Return a green wood: modulus along the grain, density, breaking stress in bending.
+    """Return a green wood or a stem: modulus along it, density, breaking stress in bending.
 
     Values and sources stand in wood.toml, next to this file; a living limb of juvenile wood
     is often softer, by a third and more. Raises MaterialError for a name not known.
