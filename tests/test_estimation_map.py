@@ -88,9 +88,7 @@ def test_small_and_applied_hessians_agree_and_are_symmetric(prior, touches, kind
     assert a @ Hb == pytest.approx(b @ Ha, rel=1e-9)
     assert a @ Ha > 0
     if kind != "element":
-        assert np.allclose(
-            here.dense_hessian() @ a, Ha, rtol=1e-6, atol=1e-9 * abs(Ha).max()
-        )
+        assert np.allclose(here.dense_hessian @ a, Ha, rtol=1e-6, atol=1e-9 * abs(Ha).max())
 
 
 def test_features_are_parameters_too(truth, prior, patches):

@@ -6,12 +6,15 @@ over xi, halved; log theta is linear in xi (see `parameters`). The model's displ
 compared with those seen, so that noise is not amplified, and what was not seen or felt has
 no term. While the misfit is far above the noise it is tempered: divided by what it is on
 the whole, at most a quarter less an iteration, so that the strongest readings do not lead
-the way alone.
+the way alone. Where the cost bends away from its quadratic model within a step, the step
+is bent too, by a second-order correction: soft moduli then follow the curved valleys that
+stiff readings leave them.
 """
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,9 +34,12 @@ FAR = 2.0  # largest change of a log-modulus in one step
 SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
 HALVINGS = 12
 PAIRS = 100  # directions remembered for the preconditioner
-NEAR = 0.7  # change of a log-modulus up to which the Hessian is much the same
+NEAR = 0.1  # change of a log-modulus up to which the Hessian is much the same
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 GAIN = 0.1  # of the mean gain of CG's iterations: less, and it stops
+DEAR = 20.0  # decrease of the cost beyond which that rule does not count what was gained
+RESIDUAL = 1e-6  # of the gradient at which CG stops anyhow
+STRAIGHT = 0.5  # of the forecast decrease: less, and a step is bent
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ class MapStats:
 class Options:
     """When to stop, and how hard to work."""
 
-    tolerance: float = 1e-3  # stop when a step promises less than this share of the cost
+    tolerance: float = 1e-4  # stop when a step promises less than this share of the cost
     iterations: int = 40
     inner: int = 100  # CG iterations of one Gauss-Newton step
     progress: Callable[[Step], Any] | None = None
@@ -121,6 +127,12 @@ class Objective:
         """Return the derivative of the cost by xi, exactly."""
         return self.xi + self._back(self.miss_u, self.miss_f) / self.temper
 
+    def bend(self, there: "Objective", step: Array) -> Array:
+        """Return the pull on xi of what readings `there` are off the linear forecast."""
+        du = there.miss_u - self.miss_u
+        df = [b - a for a, b in zip(self.miss_f, there.miss_f, strict=True)]
+        return (self._back(du, df) - self.hessian(step)) / self.temper
+
     def hessian(self, v: Array) -> Array:
         """Return the Gauss-Newton Hessian of the misfit, without the prior's, times v."""
         du, df = self.response.change(self.chart.log(np.ravel(v)))
@@ -139,8 +151,9 @@ class Objective:
             H += du.T @ du + felt.T @ felt
         return H
 
+    @cached_property
     def dense_hessian(self) -> Array:
-        """Return the Gauss-Newton Hessian of the misfit by xi, (p, p)."""
+        """The Gauss-Newton Hessian of the misfit by xi, (p, p)."""
         mix = self.chart.unwhiten(self.chart.mix.T.toarray()).T  # (q, p)
         return mix.T @ self.small_hessian() @ mix
 
@@ -188,14 +201,20 @@ def solve(
             )
         log = chart.log(direction)
         far = float(np.abs(log).max())
-        there, share = _search(here, direction, promise, min(1.0, FAR / far))
+        there, share, bent = _search(
+            here,
+            direction,
+            promise,
+            min(1.0, FAR / far),
+            lambda y, here=here: _direction(here, y, memory, options)[0],
+        )
         if there is None:
             raise EstimateError(
                 "map: no step lowers the cost, though the gradient is "
                 f"{size:.2g}. The readings may be exact beyond rounding: give noise."
             )
         change = share * far
-        if change > NEAR:
+        if change > NEAR or bent:
             memory.clear()
         here = there
     stats = MapStats(
@@ -236,7 +255,7 @@ def _direction(
     """Return the Gauss-Newton step, and the CG iterations it took."""
     p = len(g)
     if here.chart.columns.shape[1] <= FEW:
-        return -np.linalg.solve(here.dense_hessian() / here.temper + np.eye(p), g), 0
+        return -np.linalg.solve(here.dense_hessian / here.temper + np.eye(p), g), 0
 
     def product(v: Array) -> Array:
         v = np.ravel(v).copy()
@@ -249,7 +268,7 @@ def _direction(
     M: Any = LinearOperator((p, p), matvec=memory.inverse(here.temper), dtype=float)  # type: ignore[call-arg]
     watch = _Watch(g, gain)
     try:
-        step, _ = cg(H, -g, M=M, rtol=1e-3, maxiter=options.inner, callback=watch)
+        step, _ = cg(H, -g, M=M, rtol=RESIDUAL, maxiter=options.inner, callback=watch)
     except _Enough:
         step = watch.step
     memory.add(new)
@@ -306,7 +325,8 @@ class _Watch:
 
     From zero, CG's k-th point x has the quadratic model g x / 2. The rule is that of Nash
     and Sofer 1990, Oper. Res. Lett. 9: stop when an iteration gains less than a share of
-    the mean of those before it.
+    the mean of those before it. Large gains at first do not hide what is still to be had:
+    they count as `DEAR` at most.
     """
 
     def __init__(self, g: Array, gain: float) -> None:
@@ -319,23 +339,48 @@ class _Watch:
         gained = -0.5 * float(self.g @ x)
         now = gained - self.gained
         self.gained, self.step = gained, x.copy()
-        if self.count > 1 and self.count * now < self.least * gained:
+        if self.count > 1 and self.count * now < self.least * min(gained, DEAR):
             raise _Enough
 
 
 def _search(
-    here: Objective, direction: Array, promise: float, share: float
-) -> tuple[Objective | None, float]:
-    """Return the objective after the largest share of a step that lowers the cost."""
+    here: Objective,
+    direction: Array,
+    promise: float,
+    share: float,
+    newton: Callable[[Array], Array],
+) -> tuple[Objective | None, float, bool]:
+    """Return the objective after the largest share of a step that lowers the cost.
+
+    And the share, and whether the step was bent: where it brings less than forecast, by
+    the second-order correction of its end, half the geodesic acceleration of Transtrum and
+    Sethna 2012, arXiv:1201.5885; `newton` solves for it.
+    """
+    curve: Array | None = None  # the correction at a share of 1
     for _ in range(HALVINGS):
-        try:
-            xi = here.xi + share * direction
-            there = Objective(here.model, here.chart, here.cases, xi, here.response)
-        except SolverError:
-            there = None
-        if there is not None:
-            there.temper = here.temper
+        step = share * direction
+        there = _at(here, here.xi + step + (0 if curve is None else share**2 * curve))
+        forecast = promise * share * (1 - share / 2)
+        if (
+            there is not None
+            and curve is None
+            and here.cost - there.cost < STRAIGHT * forecast
+        ):
+            curve = newton(here.bend(there, step)) / share**2
+            bent = _at(here, here.xi + step + share**2 * curve)
+            if bent is not None and bent.cost < there.cost:
+                there = bent
         if there is not None and here.cost - there.cost >= SUFFICIENT * share * promise:
-            return there, share
+            return there, share, curve is not None
         share /= 2
-    return None, 0.0
+    return None, 0.0, False
+
+
+def _at(here: Objective, xi: Array) -> Objective | None:
+    """Return the objective at xi, as tempered as here; None where it cannot be solved."""
+    try:
+        there = Objective(here.model, here.chart, here.cases, xi, here.response)
+    except SolverError:
+        return None
+    there.temper = here.temper
+    return there

@@ -93,7 +93,7 @@ class Parameters:
     """
 
     share: Literal["element", "region", "features"]
-    smooth: float | None = 1.04
+    smooth: float | None = 1.02
     level: float = 3.0
     moduli: Moduli = "lame"
     tie: float = 1.005
@@ -220,7 +220,7 @@ def _smooth(g: int, edges: Array, step: float) -> Any:
 
 def per_element(
     *,
-    smooth: float = 1.04,
+    smooth: float = 1.02,
     level: float = 3.0,
     moduli: Moduli = "lame",
     tie: float = 1.005,

@@ -113,7 +113,7 @@ def posterior(objective: Objective, rank: int = RANK) -> Posterior:
     """Return the posterior at a minimum; `rank` eigenvectors where parameters are many."""
     p = objective.chart.size
     if objective.chart.columns.shape[1] <= FEW or p <= FEW:
-        values, vectors = scipy.linalg.eigh(objective.dense_hessian())
+        values, vectors = scipy.linalg.eigh(objective.dense_hessian)
         order = np.argsort(values)[::-1]
         return Posterior(objective, np.maximum(values[order], 0), vectors[:, order])
     # one pass over the range, one to project: Halko, Martinsson, Tropp 2011, SIAM Rev. 53
