@@ -68,18 +68,23 @@ def test_analytic_tapered_cantilever_has_its_closed_form():
 
 def test_table_one_in_short(tmp_path, capsys):
     bench = load("table1")
-    rows = bench.main(
-        bench.own_plants(), ["limb"], ["1mm"], ["map", "contact"], [1, 3], 1,
-        tmp_path / "table1.md", queries=4,
-    )  # fmt: skip
+    fork = bench.own_plants(["fork"])
+    asked = fork, ["limb"], ["1mm"], ["map", "contact"], [1, 3], 1, tmp_path / "table1.md"
+    rows = bench.main(*asked, queries=4, log=tmp_path / "rows.jsonl")
     assert "the paper's print" in capsys.readouterr().out
-    assert "| limb | 1mm | map | 3 |" in (tmp_path / "table1.md").read_text("utf-8")
+    assert "| limb | 1mm | reference | map | 3 |" in (tmp_path / "table1.md").read_text(
+        "utf-8"
+    )
     last = next(r for r in rows if (r.method, r.shots) == ("map", 3))
     assert last.prior_visual > 5 * last.visual
     assert last.prior_tactile > 20 * last.tactile
     paper = next(r for r in rows if (r.method, r.shots) == ("contact", 3))
     assert paper.visual > last.visual
     assert paper.tactile > last.tactile
+    # a run that was cut goes on where it was
+    again = bench.main(*asked, queries=4, log=tmp_path / "rows.jsonl")
+    assert again == rows
+    assert "gone" not in capsys.readouterr().out
 
 
 def test_next_touch_in_short(capsys):

@@ -141,7 +141,7 @@ def estimate(
     method: Literal["map", "force-balance"] = "map",
     rows: Literal["contact", "balance"] = "contact",
     solver: str = "CLARABEL",
-    tolerance: float = 1e-4,
+    tolerance: float = 3e-4,
     iterations: int = 40,
     progress: Callable[[Step], Any] | None = None,
 ) -> Estimate:

@@ -37,7 +37,7 @@ PAIRS = 100  # directions remembered for the preconditioner
 NEAR = 0.1  # change of a log-modulus up to which the Hessian is much the same
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 GAIN = 0.1  # of the mean gain of CG's iterations: less, and it stops
-DEAR = 20.0  # decrease of the cost beyond which that rule does not count what was gained
+DEAR = 25.0  # times what is enough to stop at: that rule counts no larger gains
 RESIDUAL = 1e-6  # of the gradient at which CG stops anyhow
 STRAIGHT = 0.5  # of the forecast decrease: less, and a step is bent
 
@@ -75,7 +75,7 @@ class MapStats:
 class Options:
     """When to stop, and how hard to work."""
 
-    tolerance: float = 1e-4  # stop when a step promises less than this share of the cost
+    tolerance: float = 3e-4  # stop when a step promises less than this share of the cost
     iterations: int = 40
     inner: int = 100  # CG iterations of one Gauss-Newton step
     progress: Callable[[Step], Any] | None = None
@@ -184,12 +184,13 @@ def solve(
         g = here.gradient()
         size = float(np.linalg.norm(g))
         tell(size)
-        direction, inner = _direction(here, g, memory, options)
-        promise = -float(g @ direction)  # twice the decrease of the quadratic model
         enough = 2 * options.tolerance * max(here.cost, readings / 2)
+        dear = DEAR * enough / 2
+        direction, inner = _direction(here, g, memory, options, dear)
+        promise = -float(g @ direction)  # twice the decrease of the quadratic model
         if temper == 1 and promise <= enough:
             # whether there is really so little to gain, CG says when it goes farther
-            direction, more = _direction(here, g, memory, options, GAIN / 10)
+            direction, more = _direction(here, g, memory, options, dear, GAIN / 10)
             promise, inner = -float(g @ direction), inner + more
         if temper == 1 and promise <= enough:
             break
@@ -206,7 +207,7 @@ def solve(
             direction,
             promise,
             min(1.0, FAR / far),
-            lambda y, here=here: _direction(here, y, memory, options)[0],
+            lambda y, here=here, dear=dear: _direction(here, y, memory, options, dear)[0],
         )
         if there is None:
             raise EstimateError(
@@ -250,7 +251,12 @@ def _start(model: ElasticModel, chart: Chart, cases: Sequence[Case]) -> Array:
 
 
 def _direction(
-    here: Objective, g: Array, memory: "Memory", options: Options, gain: float = GAIN
+    here: Objective,
+    g: Array,
+    memory: "Memory",
+    options: Options,
+    dear: float,
+    gain: float = GAIN,
 ) -> tuple[Array, int]:
     """Return the Gauss-Newton step, and the CG iterations it took."""
     p = len(g)
@@ -266,7 +272,7 @@ def _direction(
     new: list[tuple[Array, Array]] = []
     H: Any = LinearOperator((p, p), matvec=product, dtype=float)  # type: ignore[call-arg]
     M: Any = LinearOperator((p, p), matvec=memory.inverse(here.temper), dtype=float)  # type: ignore[call-arg]
-    watch = _Watch(g, gain)
+    watch = _Watch(g, gain, dear)
     try:
         step, _ = cg(H, -g, M=M, rtol=RESIDUAL, maxiter=options.inner, callback=watch)
     except _Enough:
@@ -326,11 +332,11 @@ class _Watch:
     From zero, CG's k-th point x has the quadratic model g x / 2. The rule is that of Nash
     and Sofer 1990, Oper. Res. Lett. 9: stop when an iteration gains less than a share of
     the mean of those before it. Large gains at first do not hide what is still to be had:
-    they count as `DEAR` at most.
+    they count as `dear` at most.
     """
 
-    def __init__(self, g: Array, gain: float) -> None:
-        self.g, self.least = g, gain
+    def __init__(self, g: Array, gain: float, dear: float) -> None:
+        self.g, self.least, self.dear = g, gain, dear
         self.count, self.gained = 0, 0.0
         self.step = np.zeros_like(g)
 
@@ -339,7 +345,7 @@ class _Watch:
         gained = -0.5 * float(self.g @ x)
         now = gained - self.gained
         self.gained, self.step = gained, x.copy()
-        if self.count > 1 and self.count * now < self.least * min(gained, DEAR):
+        if self.count > 1 and self.count * now < self.least * min(gained, self.dear):
             raise _Enough
 
 

@@ -31,6 +31,8 @@ PARDISO_FROM = 400_000
 STRIP = 6
 # Strips from which on they are shared out to threads: SuperLU gives up Python's lock
 MANY = 6
+# Unknowns from which on two strips are enough for that
+LARGE = 5_000
 # How far compliance by half solves may be from that by a whole one: on slender plants the
 # two are some 1e-10 apart
 FORWARD = 1e-6
@@ -134,7 +136,8 @@ class DirectFactor:
                 u[:, part] = self.lu.solve(np.asfortranarray(f[:, part]))
 
             starts = range(0, f.shape[1], STRIP)
-            if len(starts) < MANY or isinstance(self.lu, _Pardiso):
+            few = len(starts) < (2 if len(f) >= LARGE else MANY)
+            if few or isinstance(self.lu, _Pardiso):
                 for first in starts:
                     strip(first)
             else:
