@@ -31,6 +31,30 @@ def test_force_matrix_is_linear_elasticity(truth):
         ps.force_matrix(truth, u[1:])
 
 
+def test_force_matrix_is_the_difference_of_forces(truth):
+    # the energy's second difference: d/d theta of the force, which is d energy / d u
+    rng = np.random.default_rng(1)
+    u, v = rng.normal(size=(2, *truth.mesh.points.shape))
+    m = len(truth.mesh.tets)
+    mu, lam, _ = truth.material.per_tet(m)
+    theta = np.concatenate([mu, lam])
+    W = ps.force_matrix(truth, u)
+
+    def energy(theta, u):
+        model = truth.with_material(ps.Material.lame(theta[:m], theta[m:]))
+        return 0.5 * u.ravel() @ (model.stiffness @ u.ravel())
+
+    for j in (3, m // 2, m + 3, m + m // 2):
+        more = theta.copy()
+        more[j] *= 1.5
+        slopes = [(energy(t, u + v) - energy(t, u - v)) / 2 for t in (more, theta)]
+        push = v.ravel() @ W[:, [j]].toarray().ravel()
+        size = np.linalg.norm(v) * np.linalg.norm(W[:, [j]].toarray())
+        assert (slopes[0] - slopes[1]) / (more[j] - theta[j]) == pytest.approx(
+            push, abs=1e-5 * size
+        )
+
+
 def test_exact_touches_give_the_exact_limbs(truth, touches):
     prior = truth.with_material(ps.Material(6e9, 0.35))
     found = ps.estimate(prior, touches, rows="balance", **PAPER)
@@ -83,6 +107,15 @@ def test_any_cvxpy_solver_by_name(truth, touches):
     assert a == pytest.approx(b, rel=0.02)
     with pytest.raises(ps.EstimateError, match="CLARABEL"):
         ps.estimate(prior, touches, solver="NONE", **PAPER)
+
+
+@pytest.mark.parametrize("status", ["optimal_inaccurate", "infeasible", "unbounded"])
+def test_no_optimum_is_an_error(truth, touches, status, monkeypatch):
+    import cvxpy
+
+    monkeypatch.setattr(cvxpy.Problem, "status", property(lambda _: status))
+    with pytest.raises(ps.EstimateError, match=f"ended '{status}'. Try another solver"):
+        ps.estimate(truth, touches, **PAPER)
 
 
 def test_unseen_neighbours_are_named(truth, touches):
