@@ -1,7 +1,11 @@
 """A plant under a hand, without a page: superposition, balance, what is recorded."""
 
+import dataclasses
+import time
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import plantsim as ps
 from plantsim.view.touching import KINEMATICS, Burden, Touching, hit, limb_tips
@@ -156,8 +160,6 @@ def test_surface_tets_are_behind_their_triangles(fork):
 
 @pytest.mark.parametrize("kinematics", ["corotational"])
 def test_other_kinematics_agree_for_small_motions(fork, tip, kinematics):
-    import dataclasses
-
     model = ps.ElasticModel(fork.with_order(1), ps.Material(6e9, 0.3, 900.0))
     assert kinematics in KINEMATICS
     tip = tip[tip < len(model.mesh.points)]
@@ -170,3 +172,91 @@ def test_other_kinematics_agree_for_small_motions(fork, tip, kinematics):
         frames.append(touching.drag((1e-5, 0, -1e-5), (0, 0, 0)))
     apart = np.linalg.norm(frames[1].force - frames[0].force)
     assert apart < 1e-3 * np.linalg.norm(frames[0].force)
+
+
+def balanced(touching, most=8):
+    """Solve for balance until nothing is off; return the frame and how often."""
+    for count in range(most):
+        solve = touching.correction()
+        if solve is None:
+            return touching.drag(*touching._asked), count
+        touching.correct(solve())
+    raise AssertionError("no balance")
+
+
+@pytest.fixture(scope="module")
+def large():
+    mesh = ps.tetrahedralize(ps.sweep(ps.fork(0.5, 0.01)), order=1)
+    return ps.ElasticModel(mesh, ps.Material(6e9, 0.3, 900.0), kinematics="corotational")
+
+
+@pytest.fixture(scope="module")
+def grip(large):
+    points = large.mesh.points
+    return ps.nearest_vertices(large.mesh, points[points[:, 2].argmax()], count=6)
+
+
+def test_a_far_drag_is_the_corotational_equilibrium(large, grip):
+    touching = Touching(large)
+    touching.bear(Burden(gravity=1.0, stiffness=2.0))
+    touching.hold(grip)
+    shift, turn = np.array([0.08, 0.02, -0.03]), np.array([0.0, 0.2, 0.0])
+    guess = touching.drag(shift, turn)
+    assert not guess.exact
+    frame, count = balanced(touching)
+    assert frame.exact
+    assert count >= 1
+    stiff = large.with_material(large.material.with_young(2 * 6e9))
+    rest = stiff.solve(ps.gravity())
+    at = large.mesh.points[grip] + rest.displacement[grip]
+    turned = Rotation.from_rotvec(turn).apply(at - at.mean(axis=0)) + at.mean(axis=0)
+    goal = turned + shift - large.mesh.points[grip]
+    state = stiff.solve(ps.move(grip, goal), ps.gravity(), start=rest)
+    on = large.mesh.surface_vertices
+    expected = (large.mesh.points + state.displacement)[on]
+    assert np.abs(frame.surface - expected).max() < 1e-3 * np.linalg.norm(shift)
+    total = (state.force - rest.force)[grip].sum(axis=0)
+    assert frame.force == pytest.approx(total, rel=1e-2, abs=1e-2 * np.linalg.norm(total))
+    linear = dataclasses.replace(large, kinematics="linear").solve(ps.move(grip, shift))
+    straight = linear.force[grip].sum(axis=0)
+    assert np.linalg.norm(2 * straight - total) > 0.2 * np.linalg.norm(total)
+    assert np.degrees(touching.max_rotation()) > 5
+
+
+def test_a_far_hand_feels_no_torque_either(large, grip):
+    touching = Touching(large)
+    touching.hold(grip)
+    touching.drag((0.06, 0.0, -0.04))
+    frame, _ = balanced(touching)
+    hand = touching._following
+    at = large.mesh.points[grip] + hand.state.displacement[grip]
+    arm = at - at.mean(axis=0)
+    torque = np.cross(arm, hand.force(touching._move)).sum(axis=0)
+    touching.drag((0.06, 0.0, -0.04), (0, 0, 0))
+    clamped, _ = balanced(touching)
+    at = large.mesh.points[grip] + hand.state.displacement[grip]
+    arm = at - at.mean(axis=0)
+    held = np.cross(arm, hand.force(touching._move)).sum(axis=0)
+    assert np.linalg.norm(torque) < 0.02 * np.linalg.norm(held)
+    assert np.linalg.norm(frame.force) < np.linalg.norm(clamped.force)
+
+
+def test_a_balance_of_another_hand_changes_nothing(large, grip):
+    touching = Touching(large)
+    touching.hold(grip)
+    touching.drag((0.02, 0, 0))
+    late = touching.correction()()
+    touching.hold(grip[:3])
+    frame = touching.drag((0.0, 0.0, 0.0))
+    after = touching.correct(late)
+    assert np.array_equal(after.surface, frame.surface)
+    assert touching.let_go().force == pytest.approx(0)
+
+
+def test_a_far_frame_costs_what_a_near_one_does(large, grip):
+    touching = Touching(large)
+    touching.hold(grip)
+    began = time.process_time()
+    for k in range(100):
+        touching.drag((1e-3 * k, 0, 0))
+    assert (time.process_time() - began) / 100 < 1 / 60

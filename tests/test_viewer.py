@@ -54,6 +54,8 @@ def opened(browser, viewer):
     page.goto(viewer.url)
     page.get_by_text("a fork").wait_for()
     page.get_by_text("Let go").wait_for()
+    # that there is no GPU is told on top of the plant, where the mouse has to go
+    page.add_style_tag(content=".mantine-Notifications-root { display: none }")
     wait(lambda: len(viewer.server.get_clients()) > 0)
     return page
 
@@ -97,20 +99,7 @@ def test_a_click_takes_hold_and_a_drag_bends_the_plant(browser, viewer, mesh, tm
     assert len(viewer.touching.ids) == 6
     assert not viewer.frame.force.any()
     page.wait_for_timeout(2000)
-    centre = viewer.frame.centre
-    arrow = 0.14 * viewer.span
-    start = np.array(on_screen(page, viewer, centre + [0, 0, 0.7 * arrow]))
-    end = np.array(on_screen(page, viewer, centre + [0, 0, 0.7 * arrow - 0.05]))
-    page.mouse.move(*start)
-    page.wait_for_timeout(500)
-    page.mouse.down()
-    for share in np.linspace(0.1, 1, 10):
-        page.mouse.move(*(start + share * (end - start)))
-        page.wait_for_timeout(50)
-    page.mouse.up()
-    wait(lambda: viewer.frame.travel > 0.02)
-    viewer.settle()
-    way = viewer.frame.centre - centre
+    way = pulled(page, viewer, -0.05)
     assert way[2] == pytest.approx(-0.05, rel=0.3)  # as far as the mouse went
     assert abs(way[:2]).max() < 1e-6  # along the arrow that was taken
     assert viewer.frame.force[2] < 0
@@ -134,6 +123,130 @@ def picture_differs(a, b):
 
     one, two = (matplotlib.image.imread(io.BytesIO(x))[:, :560, :3] for x in (a, b))
     return (np.abs(one - two).max(axis=2) > 0.2).sum() > 300
+
+
+def pulled(page, viewer, by):
+    """Pull the gizmo's upright arrow by a height [m]; return how far the hand went."""
+    centre, arrow = viewer.frame.centre, 0.14 * viewer.span
+    for patience in (500, 2000, 5000):  # [ms] until a frame shows that the arrow is met
+        start = np.array(on_screen(page, viewer, centre + [0, 0, 0.7 * arrow]))
+        end = np.array(on_screen(page, viewer, centre + [0, 0, 0.7 * arrow + by]))
+        page.mouse.move(*(start + 1))
+        page.mouse.move(*start)
+        page.wait_for_timeout(patience)
+        page.mouse.down()
+        for share in np.linspace(0.1, 1, 10):
+            page.mouse.move(*(start + share * (end - start)))
+            page.wait_for_timeout(50)
+        page.mouse.up()
+        page.wait_for_timeout(1000 + 2 * patience)
+        if viewer.frame.travel > 0.4 * abs(by):
+            break
+    viewer.settle()
+    return viewer.frame.centre - centre
+
+
+def chosen(page, label, option):
+    """Choose an option of a drop-down list of the page."""
+    page.get_by_label(label, exact=True).first.click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def test_the_page_switches_kinematics(browser, viewer, mesh):
+    page = opened(browser, viewer)
+    chosen(page, "kinematics", "corotational")
+    wait(lambda: not viewer.touching.linear)
+    tip = ps.nearest_vertices(mesh, mesh.points[mesh.points[:, 2].argmax()], count=6)
+    viewer.hold(tip)
+    viewer.settle()
+    page.wait_for_timeout(2000)
+    way = pulled(page, viewer, -0.15)
+    assert way[2] == pytest.approx(-0.15, rel=0.3)
+    wait(lambda: viewer.frame.exact)  # balance is solved for beside the frames
+    viewer.settle()
+    page.get_by_text(words(viewer)).first.wait_for()
+    page.get_by_text("turned").first.wait_for()
+    hand = viewer.touching._following
+    state = viewer.touching.model.solve(ps.move(tip, hand.state.displacement[tip]))
+    total = state.force[tip].sum(axis=0)
+    size = np.linalg.norm(total)
+    assert viewer.frame.force == pytest.approx(total, rel=1e-2, abs=1e-2 * size)
+    linear = ps.ElasticModel(mesh, viewer.touching.model.material)
+    other = linear.solve(ps.move(tip, hand.state.displacement[tip]))
+    assert np.linalg.norm(other.force[tip].sum(axis=0) - total) > 0.1 * size
+
+
+def test_a_click_beside_a_twig_takes_hold_of_it(browser, viewer, mesh):
+    page = opened(browser, viewer)
+    page.wait_for_timeout(2000)
+    tip = mesh.points[mesh.points[:, 2].argmax()]
+    x, y = on_screen(page, viewer, tip)
+    page.mouse.click(x, y - 5)  # above all that there is
+    wait(lambda: len(viewer.touching.ids) > 0)
+    viewer.settle()
+    assert np.linalg.norm(viewer.frame.centre - tip) < 0.05
+    held = viewer.touching.ids
+    page.mouse.click(30, 560)  # far from the plant
+    page.wait_for_timeout(1000)
+    viewer.settle()
+    assert np.array_equal(viewer.touching.ids, held)
+
+
+@pytest.mark.slow
+def test_a_person_learns_the_stiffness_on_the_page(browser, viewer, mesh, tmp_path):
+    viewer.touches_file = tmp_path / "touches.h5"
+    page = opened(browser, viewer)
+    page.get_by_label("hidden stiffness").click()
+    wait(lambda: np.ptp(viewer.touching.model.material.young) > 0)
+    viewer.panel._blur.value, viewer.panel._shake.value = 0.5, 0.1
+    for limb in (1, 2):
+        points = mesh.points[np.unique(mesh.tets[np.asarray(mesh.region) == limb])]
+        viewer.hold(ps.nearest_vertices(mesh, points.mean(axis=0), count=6))
+        viewer.settle()
+        page.wait_for_timeout(1500)
+        pulled(page, viewer, -0.05)
+        page.get_by_role("button", name="Record this touch").click()
+        wait(lambda limb=limb: len(viewer.recorded) == limb)
+    page.get_by_text("2 touches recorded").wait_for()
+    assert len(ps.read_observations(viewer.touches_file)) == 2
+    said = []
+    tell = viewer.panel._result
+    page.get_by_role("button", name="Estimate").click()
+    wait(lambda: said.append(tell.content) or viewer.found is not None)
+    assert any("step" in words or "fitting" in words for words in said)  # progress
+    viewer.settle()
+    page.get_by_text("found, GPa").wait_for()
+    true = np.broadcast_to(viewer.touching.model.material.young, (len(mesh.tets),))
+    assert viewer.found.material.young == pytest.approx(true, rel=0.2)
+    chosen(page, "colour", "uncertainty")
+    page.get_by_text("one standard deviation").wait_for()
+    low, high = viewer.found.interval(0.999)["0"]
+    assert low < true[np.asarray(mesh.region) == 0][0] < high
+
+
+@pytest.mark.slow
+def test_another_plant_is_loaded_and_grown(browser, viewer, mesh, tmp_path):
+    page = opened(browser, viewer)
+    page.get_by_label("hidden stiffness").click()
+    page.get_by_text("Another plant").click()
+    other = ps.tetrahedralize(ps.sweep(ps.straight(0.3, 0.02)), order=1)
+    with page.expect_file_chooser() as chooser:
+        page.get_by_role("button", name="Load a mesh").click()
+    chooser.value.set_files(ps.write_mesh(other, tmp_path / "mine.msh"))
+    page.get_by_text("mine.msh").first.wait_for()
+    assert len(viewer.touching.mesh.tets) == len(other.tets)
+    assert not viewer.panel._hidden.value  # the new plant's is not
+    broken = tmp_path / "broken.msh"
+    broken.write_text("not a mesh")
+    with page.expect_file_chooser() as chooser:
+        page.get_by_role("button", name="Load a mesh").click()
+    chooser.value.set_files(broken)
+    wait(lambda: "**" in viewer.panel._words.content)
+    assert viewer.name == "mine.msh"
+    chosen(page, "species", "pepper")
+    page.get_by_role("button", name="Grow").click()
+    wait(lambda: viewer.name == "pepper 7", seconds=240)
+    page.get_by_text("pepper 7").first.wait_for()
 
 
 @pytest.mark.slow

@@ -29,12 +29,14 @@ from plantsim.plant.hung import Masses
 from plantsim.view.panel import Panel
 from plantsim.view.skin import Skin
 from plantsim.view.style import CONTACT, MOVED, plain, rgb
-from plantsim.view.touching import Burden, Frame, Touching, hit
+from plantsim.view.touching import Balance, Burden, Frame, Touching, beside, hit
 
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 FASTEST = 1 / 60  # [s] between two frames: what screens show
 SLOW = 1 / 12  # [s] between words and colours that change in a drag; the shape goes at once
+AIM = 0.015  # [rad] by which a click may miss the plant: some ten pixels
+TRIES = 6  # equilibria for one place of the hand, which turns with each
 REST = 0.25  # [s] without a job until what costs more than a frame is told
 DEFAULT = Material(6e9, 0.35, 900.0)
 
@@ -75,6 +77,9 @@ class Viewer:
         self.frame: Frame | None = None
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._goal: tuple[Array, Any] | None = None
+        self._burden: Burden | None = None
+        self._balancing: Touching | None = None  # for which an equilibrium is solved for
+        self._tries = 0
         self._lock = threading.Lock()
         self._trace: list[tuple[float, float]] = []
         self._spoke = self._typical = 0.0
@@ -86,6 +91,7 @@ class Viewer:
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+z")
+        self.server.scene.on_click()(self._clicked)
         self.panel = Panel(self.server, self)
         self.show(mesh, material, name=name, masses=masses, fixed=fixed)
         self._thread = threading.Thread(target=self._work, name="plantsim", daemon=True)
@@ -168,7 +174,7 @@ class Viewer:
             section_size=self.span / 2,
             position=(0.0, 0.0, float(low[2])),
         )
-        self.skin = Skin(scene, touching, self._clicked)
+        self.skin = Skin(scene, touching)
         self._arrow = scene.add_arrows(
             "/force",
             np.zeros((1, 2, 3)),
@@ -214,17 +220,12 @@ class Viewer:
         self.do(self._let_go)
 
     def bear(self, burden: Burden) -> None:
-        """Put another burden on the plant."""
-
-        def job() -> None:
-            self._draw(self.touching.bear(burden))
-            if self._gizmo is not None:
-                assert self.frame is not None
-                self._gizmo.position = tuple(self.frame.centre)
-                self._start = self.frame.centre - self._shift
-            self._trace.clear()
-
-        self.do(job)
+        """Put another burden on the plant; of several that wait, the latest."""
+        with self._lock:
+            waiting = self._burden is not None
+            self._burden = burden
+        if not waiting:
+            self.do(self._bear)
 
     def uncertainty(self) -> Array | None:
         """Return the standard deviation (m,) [%] of each tet's modulus, if known."""
@@ -257,11 +258,57 @@ class Viewer:
         if goal is None or not len(self.touching.ids):
             return
         began = time.perf_counter()
-        self._shift = goal[0]
+        self._shift, self._tries = goal[0], 0
         self._draw(self.touching.drag(*goal))
         self.frame_seconds = time.perf_counter() - began
         self.frames += 1
+        self._balance()
         time.sleep(max(FASTEST - self.frame_seconds, 0.0))
+
+    def _bear(self) -> None:
+        with self._lock:
+            burden, self._burden = self._burden, None
+        if burden is None:
+            return
+        if not self.touching.linear:
+            self.panel.busy("solving for balance under the burden")
+        frame = self.touching.bear(burden)
+        if self._gizmo is not None:
+            self._gizmo.position = tuple(frame.centre)
+            self._start = frame.centre - self._shift
+        self._trace.clear()
+        self._draw(frame)
+        self._balance()
+
+    def _balance(self) -> None:
+        """Solve for balance beside the frames, where they run ahead of it."""
+        touching = self.touching
+        solve = None if self._balancing is touching else touching.correction()
+        if solve is None or self._tries >= TRIES:
+            return
+        self._balancing, self._tries = touching, self._tries + 1
+
+        def run() -> None:
+            try:
+                found = solve()
+            except Exception as why:
+                self.panel.complain(f"no balance here: {why}")
+                self.do(lambda: self._balanced(touching, None))
+            else:
+                self.do(lambda: self._balanced(touching, found))
+
+        threading.Thread(target=run, name="plantsim balance", daemon=True).start()
+
+    def _balanced(self, touching: Touching, found: Balance | None) -> None:
+        if self._balancing is touching:
+            self._balancing = None
+        if touching is not self.touching or found is None:
+            return
+        if not found.whole:
+            self.panel.complain("The plant cannot be bent so far. Let the hand come back.")
+            self._tries = TRIES
+        self._draw(touching.correct(found))
+        self._balance()
 
     def _hold(self, ids: Array) -> None:
         self.panel.busy("taking hold")
@@ -305,6 +352,8 @@ class Viewer:
             if surface is None:
                 return
             at = hit(origin, way, surface, self.touching.triangles)
+            if at is None:  # a twig is thinner than a click
+                at = beside(origin, way, surface, AIM)
             if at is not None:
                 self._hold(self.touching.patch(at, surface, self.panel.patch))
 
@@ -328,7 +377,7 @@ class Viewer:
                 self._arrow.points = np.array([[frame.centre, tip]])
                 self._label.position = tuple(tip)
                 self._label.text = f"{plain(newtons)} N"
-        if held:
+        if held and frame.exact:
             self._trace.append((1e3 * frame.travel, newtons))
         self._told = False
         if time.perf_counter() - self._spoke > SLOW:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 COLOURS = ("plain", "limb", "stress", "stiffness", "estimate", "uncertainty")
 HELP = """Click the plant to take hold of it; drag the gizmo. Turn the view with the left
 mouse button, shift it with the right, zoom with the wheel."""
+LONGEST = 600.0  # [s] that meshing another plant may take
 POINTS = 400  # of the trace on the page
 SPREAD = 0.35  # of the hidden stiffness, one standard deviation of its logarithm
 
@@ -85,6 +86,7 @@ class Panel:
         )
         self._words.content = HELP
         self._kinematics.options = KINEMATICS
+        self._kinematics.value, self._hidden.value = model.kinematics, False
         self._stiff.value, self._gravity.value, self._fruit.value = 0.0, 0.0, 0.0
         self._fruit.max = float(f"{max(0.2 * model.mass, 1e-3):.1g}") * 5
         self._fruit.step = self._fruit.max / 100
@@ -104,15 +106,20 @@ class Panel:
         if held:
             f = frame.force
             rate = f"; {1 / seconds:.0f} frames/s at most" if seconds else ""
-            self._words.content = (
-                f"**{plain(float(np.linalg.norm(f)))} N** ({', '.join(map(plain, f))}) for "
-                f"{plain(1e3 * frame.travel)} mm at {held} vertices{rate}"
+            about = "" if frame.exact else "about "
+            words = (
+                f"**{about}{plain(float(np.linalg.norm(f)))} N** "
+                f"({', '.join(map(plain, f))}) for {plain(1e3 * frame.travel)} mm at "
+                f"{held} vertices{rate}"
             )
-            if rotation is not None and self._viewer.touching.linear:
-                over = rotation > LINEAR_LIMIT
-                self._words.content += f"; turned {np.degrees(rotation):.2g} degrees" + (
+            if not frame.exact:
+                words += "; *solving for balance ...*"
+            elif rotation is not None:
+                over = self._viewer.touching.linear and rotation > LINEAR_LIMIT
+                words += f"; turned {np.degrees(rotation):.2g} degrees" + (
                     ": **too far for linear theory**" if over else ""
                 )
+            self._words.content = words
         else:
             self._words.content = HELP
         points = np.array(trace[-POINTS:] if len(trace) > 1 else [(0.0, 0.0), (1e-6, 0.0)])
@@ -127,7 +134,12 @@ class Panel:
         viewer = self._viewer
         with gui.add_folder("Touch"):
             self._patch = gui.add_slider("vertices", 1, 24, 1, 6)
-            self._turn = gui.add_checkbox("hold its direction", False)
+            self._turn = gui.add_checkbox(
+                "hold direction",
+                False,
+                hint="The patch keeps its direction, and can be turned; set it before you "
+                "take hold.",
+            )
             go = gui.add_button("Let go")
             go.on_click(lambda _: viewer.let_go())
             nothing = np.array([0.0, 1e-6])
@@ -137,12 +149,20 @@ class Panel:
                 scales={"x": {"time": False}},
                 axes=({"label": "displacement, mm"}, {"label": "force, N", "size": 60}),
                 aspect=1.6,
+                padding=(12, 8, 0, 0),
             )
 
     def _plant_folder(self, gui: Any) -> None:
         viewer = self._viewer
         with gui.add_folder("Plant"):
-            self._stiff = gui.add_slider("stiffness, 10^", -1.0, 1.0, 0.05, 0.0)
+            self._stiff = gui.add_slider(
+                "stiffness, 10^",
+                -1.0,
+                1.0,
+                0.05,
+                0.0,
+                hint="Young's modulus times 10 to this power.",
+            )
             self._gravity = gui.add_slider("gravity, g", 0.0, 2.0, 0.05, 0.0)
             self._fruit = gui.add_slider("fruit, kg", 0.0, 1.0, 0.01, 0.0)
             self._colour = gui.add_dropdown("colour", COLOURS, initial_value="plain")
@@ -165,7 +185,11 @@ class Panel:
     def _learn_folder(self, gui: Any) -> None:
         viewer = self._viewer
         with gui.add_folder("Learn its stiffness"):
-            self._hidden = gui.add_checkbox("hidden stiffness, limb by limb", False)
+            self._hidden = gui.add_checkbox(
+                "hidden stiffness",
+                False,
+                hint="Every limb gets a modulus of its own, for you to find by touching.",
+            )
             self._blur = gui.add_slider("camera noise, mm", 0.0, 5.0, 0.1, 0.0)
             self._shake = gui.add_slider("force noise, N", 0.0, 0.5, 0.01, 0.0)
             keep = gui.add_button("Record this touch")
@@ -198,7 +222,7 @@ class Panel:
         def _(_: Any) -> None:
             def job() -> None:
                 self.busy(f"growing and meshing {kind.value} {int(seed.value)}")
-                pot = potted(kind.value, int(seed.value), int(limbs.value))
+                pot = potted(kind.value, int(seed.value), int(limbs.value), timeout=LONGEST)
                 viewer.show(pot.mesh, pot.material, name=pot.name, masses=pot.masses)
 
             viewer.do(job)
@@ -243,6 +267,7 @@ class Panel:
         old = viewer.touching
         model = replace(old.model, kinematics=self._kinematics.value)
         touching = Touching(model, old.masses)
+        self.busy(f"preparing {model.kinematics} kinematics")
         touching.bear(old.burden)
         viewer.touch_instead(touching)
 

@@ -23,15 +23,23 @@ class Potted:
     masses: Masses | None
 
 
-def potted(species: str, seed: int, limbs: int = 12, *, order: int = 2) -> Potted:
+def potted(
+    species: str,
+    seed: int,
+    limbs: int = 12,
+    *,
+    order: int = 2,
+    timeout: float | None = None,
+) -> Potted:
     """Return a species grown from a seed, its `limbs` thickest limbs meshed.
 
-    With its fruit as masses, where the fruit of the species is known.
+    With its fruit as masses, where the fruit of the species is known. `timeout` [s]: mesh
+    it in a process of its own, as a thread that is not the main one must.
     """
     skeleton = weber_penn(species, rng=seed).pruned(max_limbs=limbs)
     try:
         masses = skeleton.with_fruit(species).masses
     except GeometryError:
         masses = None
-    mesh = tetrahedralize(sweep(skeleton), order=order)
+    mesh = tetrahedralize(sweep(skeleton), order=order, timeout=timeout)
     return Potted(f"{species} {seed}", mesh, GREEN_WOOD, masses)

@@ -195,8 +195,8 @@ def material_scene(
         "position_x": 0.82,
         "position_y": 0.25,
         "height": 0.5,
-        "title_font_size": 20,
-        "label_font_size": 20,
+        "title_font_size": 26,
+        "label_font_size": 26,
         "fmt": "%.2f",
     }
     options: dict[str, Any] = {

@@ -4,7 +4,6 @@ A page's mesh has one colour, so a field is drawn as one mesh for each of a few 
 their vertices move together.
 """
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from plantsim.view.app import Viewer
 
 SHADES = 20
+LEAST = 0.01  # [MPa] at the end of the bar of stress, where there is none yet
 PLAIN = (139, 158, 120)
 FULL = 20_000  # triangles up to which middles of curved faces are drawn too
 
@@ -24,11 +24,9 @@ FULL = 20_000  # triangles up to which middles of curved faces are drawn too
 class Skin:
     """What of a plant is seen, and the colours on it."""
 
-    def __init__(
-        self, scene: Any, touching: Touching, clicked: Callable[[Any], None]
-    ) -> None:
+    def __init__(self, scene: Any, touching: Touching) -> None:
         """Draw the surface at rest, plain, and a faint wireframe that stays there."""
-        self._scene, self._clicked = scene, clicked
+        self._scene = scene
         mesh = touching.mesh
         self._on = mesh.surface_vertices
         faces, tets = touching.triangles, touching.tet_of_triangle
@@ -71,7 +69,7 @@ class Skin:
             return
         low, high = extent(values)
         if what == "stress":  # a few tets at the hand would take all colours but one
-            low, high = 0.0, max(float(np.quantile(values[self._tets], 0.98)), 1e-9)
+            low, high = 0.0, max(float(np.quantile(values[self._tets], 0.98)), LEAST)
             unit = f"{unit}, or more"
         shade = np.clip((values - low) / (high - low) * SHADES, 0, SHADES - 1).astype(int)
         ramp = colours((np.arange(SHADES) + 0.5) / SHADES, cmap, (0.0, 1.0))
@@ -96,7 +94,6 @@ class Skin:
                 color=table[int(n)],
                 side="double",
             )
-            handle.on_click(self._clicked)
             self._pieces.append((handle, rows))
         for handle in old[len(self._pieces) :]:  # the others were replaced by name
             handle.remove()

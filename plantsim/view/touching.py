@@ -2,9 +2,11 @@
 
 What the live viewer computes, without a page. Of linear kinematics everything is at frame
 rate: fields of weight and fruit are solved for once, and a stiffness common to the whole
-plant scales them, so that no slider costs a solve.
+plant scales them, so that no slider costs a solve. Of corotational kinematics a frame is
+the tangent's answer, and `correction` solves for balance when there is time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,13 +18,15 @@ from scipy.spatial.transform import Rotation
 from plantsim.arrays import Array, Random, generator
 from plantsim.elastic.contact import Contact
 from plantsim.elastic.equilibrium import Equilibrium
-from plantsim.elastic.loads import STANDARD_GRAVITY, force, move
+from plantsim.elastic.loads import STANDARD_GRAVITY, force
 from plantsim.elastic.model import ElasticModel
+from plantsim.elastic.near import NearContact
 from plantsim.elastic.weight import Weight, gravity
 from plantsim.errors import ModelError
 from plantsim.estimation.observation import Observation
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.plant.hung import Masses
+from plantsim.view.following import Following, relief
 
 KINEMATICS = ("linear", "corotational")
 
@@ -35,6 +39,20 @@ class Frame:
     centre: Array  # (3,) [m] where the hand is
     force: Array  # (3,) [N] that the hand exerts
     travel: float  # [m] how far the hand has gone from rest
+    exact: bool = True  # else extended from an equilibrium nearby: balance is not solved
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """An equilibrium that a hand may go on from."""
+
+    following: Following
+    near: NearContact
+
+    @property
+    def whole(self) -> bool:
+        """Whether the plant could be bent as far as was asked for."""
+        return getattr(self.near.state.stats, "fraction", 1.0) >= 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +76,9 @@ class Touching:
         self.ids: Array = np.zeros(0, dtype=np.int64)
         self._contact: Contact | None = None
         self._rest: Equilibrium | None = None  # of the burden alone, where not linear
-        self._state: Equilibrium | None = None
+        self._following: Following | None = None  # of a hand, where not linear
+        self._asked: tuple[Array, Array | None] = (np.zeros(3), None)  # shift, turn
         self._move: Array = np.zeros((0, 3))
-        self._free: Array = np.zeros((3, 3))
 
     @property
     def mesh(self) -> TetMesh:
@@ -91,16 +109,12 @@ class Touching:
     @cached_property
     def _weight(self) -> Array:
         """Field (n, 3) [m] of the plant's own weight."""
-        return self._linear_field(gravity())
+        return self.model.solve(gravity()).displacement
 
     @cached_property
     def _fruit(self) -> Array:
         """Field (n, 3) [m] of 1 kg of fruit: where the masses are, or at limbs' tips."""
-        return self._linear_field(self._fruit_load(1.0))
-
-    def _linear_field(self, load: Any) -> Array:
-        model = self.model if self.linear else replace(self.model, kinematics="linear")
-        return model.solve(load).displacement
+        return self.model.solve(self._fruit_load(1.0)).displacement
 
     def _fruit_load(self, mass: float) -> Any:
         mesh = self.mesh
@@ -121,7 +135,12 @@ class Touching:
                 f"stiffness {burden.stiffness}, fruit {burden.fruit} kg. Give a positive "
                 "stiffness and no negative mass."
             )
-        self.burden, self._rest = burden, None
+        self.burden = burden
+        if not self.linear:
+            self._rest = self.model.solve(*self._loads(), start=self._rest)
+            if len(self.ids):
+                self._following = Following(self._rest, self._loads(), self.ids)
+                self._move = self._following.goal(*self._asked)
         return self._frame()
 
     def sag(self) -> Array:
@@ -134,39 +153,43 @@ class Touching:
             if b.fruit:
                 field = field + b.fruit / b.stiffness * self._fruit
             return field
+        return self._resting().displacement
+
+    def _resting(self) -> Equilibrium:
         if self._rest is None:
-            self._rest = self._stiffened().solve(*self._loads())
-        return self._rest.displacement
+            self._rest = self.model.solve(*self._loads())
+        return self._rest
 
     def _loads(self) -> list[Any]:
+        """Return weight and fruit over the stiffness, which bend the bare model as much."""
         b = self.burden
         loads: list[Any] = []
         if b.gravity:
-            loads.append(gravity((0, 0, -b.gravity * STANDARD_GRAVITY)))
+            loads.append(gravity((0, 0, -b.gravity / b.stiffness * STANDARD_GRAVITY)))
         if b.fruit:
-            loads.append(self._fruit_load(b.fruit))
+            loads.append(self._fruit_load(b.fruit / b.stiffness))
         return loads
-
-    def _stiffened(self) -> ElasticModel:
-        material = self.model.material
-        return self.model.with_material(
-            material.with_young(self.burden.stiffness * material.young)
-        )
 
     def hold(self, ids: ArrayLike) -> Frame:
         """Take hold of vertices (k,), the hand at rest; return the frame."""
         found = self.model.vertices(ids, "hold")
-        contact = self.model.contact(found) if self.linear else None
-        if contact is not None:
+        contact = following = None
+        if self.linear:
+            contact = self.model.contact(found)
             contact.surface_displacement((0, 0, 0))  # made at first use: now, not in a drag
-        self.ids, self._contact = found, contact
-        self._free = np.zeros((3, 3)) if contact is None else self._freely(contact)
+        else:
+            following = Following(self._resting(), self._loads(), found)
+        self.ids, self._contact, self._following = found, contact, following
+        self._asked = np.zeros(3), None
         self._move = np.zeros((len(found), 3))
+        if following is not None:
+            self._move = following.rest.displacement[found]
         return self._frame()
 
     def let_go(self) -> Frame:
         """Open the hand; return the frame at rest."""
-        self.ids, self._contact = np.zeros(0, dtype=np.int64), None
+        self.ids = np.zeros(0, dtype=np.int64)
+        self._contact = self._following = None
         self._move = np.zeros((0, 3))
         return self._frame()
 
@@ -174,16 +197,40 @@ class Touching:
         """Move the patch as a rigid body by `shift` [m].
 
         `turn`: a rotation vector [rad] about its middle; where None, it turns as the plant
-        likes, so that the hand feels no torque (of linear kinematics; others hold it).
+        likes, so that the hand feels no torque.
         """
         if not len(self.ids):
             raise ModelError("nothing is held. Hold some vertices first.")
-        d, arm = np.asarray(shift, dtype=float), self._arm
-        if turn is None and self._contact is not None:
-            self._move = d + np.cross(self._free @ d, arm)
+        d = np.asarray(shift, dtype=float)
+        angle = None if turn is None else np.asarray(turn, dtype=float)
+        self._asked = d, angle
+        if self._following is not None:
+            self._move = self._following.goal(d, angle)
+            return self._frame()
+        arm, contact = self._arm, self._contact
+        assert contact is not None
+        if angle is None:
+            angle = relief(arm, contact.stiffness, d, np.zeros_like(arm))
+            self._move = d + np.cross(angle, arm)
         else:
-            angle = np.zeros(3) if turn is None else np.asarray(turn, dtype=float)
             self._move = Rotation.from_rotvec(angle).apply(arm) - arm + d
+        return self._frame()
+
+    def correction(self) -> Callable[[], Balance] | None:
+        """Return what solves for balance, in any one thread, or None if nothing is off.
+
+        Give what it returns to `correct`.
+        """
+        following, goal = self._following, self._move
+        if following is None or following.met(goal):
+            return None
+        return lambda: Balance(following, following.solved(goal))
+
+    def correct(self, balance: Balance) -> Frame:
+        """Go on from a balance; return the frame. One of another hand changes nothing."""
+        if balance.following is self._following:
+            balance.following.take(balance.near)
+            self._move = balance.following.goal(*self._asked)
         return self._frame()
 
     @property
@@ -192,61 +239,45 @@ class Touching:
         held = self.mesh.points[self.ids]
         return held - held.mean(axis=0)
 
-    def _freely(self, contact: Contact) -> Array:
-        """Return the small turn (3, 3) [rad/m] a shift that takes no torque comes with."""
-        arm = self._arm
-        turns = np.stack([np.cross(axis, arm) for axis in np.eye(3)], axis=2)
-        R = turns.reshape(-1, 3)
-        T = np.tile(np.eye(3), (len(arm), 1))
-        torque, both = R.T @ contact.stiffness @ R, R.T @ contact.stiffness @ T
-        # a point or a line cannot feel all turns: the least of those that do
-        return -np.linalg.pinv(torque, rcond=1e-9, hermitian=True) @ both
-
     def _frame(self) -> Frame:
         mesh, on = self.mesh, self.mesh.surface_vertices
-        sag = self.sag()
+        sag, following = self.sag(), self._following
         surface = mesh.points[on] + sag[on]
-        total = np.zeros(3)
+        total, exact = np.zeros(3), True
         if self._contact is not None:
             surface = surface + self._contact.surface_displacement(self._move)
-            total = self.burden.stiffness * self._contact.force(self._move).sum(axis=0)
-        elif len(self.ids):
-            state = self._solved()
-            surface = mesh.points[on] + state.displacement[on]
-            assert self._rest is not None
-            total = (state.force - self._rest.force)[self.ids].sum(axis=0)
-        else:
-            self._state = None
-        shift = self._move.mean(axis=0) if len(self.ids) else np.zeros(3)
-        at = mesh.points[self.ids] + sag[self.ids] if len(self.ids) else mesh.points[:1]
-        return Frame(surface, at.mean(axis=0) + shift, total, float(np.linalg.norm(shift)))
-
-    def _solved(self) -> Equilibrium:
-        """Return the equilibrium of the hand and the burden by a solve of its own."""
-        goal = self.sag()[self.ids] + self._move
-        self._state = self._stiffened().solve(move(self.ids, goal), *self._loads())
-        return self._state
+            total = self._contact.force(self._move).sum(axis=0)
+        elif following is not None:
+            surface = mesh.points[on] + following.surface(self._move)
+            total = following.force(self._move).sum(axis=0)
+            exact = following.met(self._move)
+        if not len(self.ids):
+            return Frame(surface, mesh.points[0] + sag[0], total, 0.0)
+        shift = self._asked[0]
+        at = (mesh.points[self.ids] + sag[self.ids]).mean(axis=0)
+        far = float(np.linalg.norm(shift))
+        return Frame(surface, at + shift, self.burden.stiffness * total, far, exact)
 
     def displacement(self) -> Array:
         """Return the whole displacement (n, 3) [m] of this moment."""
+        if self._following is not None:
+            return self._following.field(self._move)
         if self._contact is not None:
             return self.sag() + self._contact.displacement(self._move)
-        return self.sag() if self._state is None else self._state.displacement
+        return self.sag()
 
     def von_mises(self) -> Array:
-        """Return the von Mises stress (m,) [Pa] of every tet at this moment."""
-        factor = self.burden.stiffness if self.linear else 1.0
-        return factor * self._equilibrium().von_mises
+        """Return the von Mises stress (m,) [Pa] of every tet, of the latest balance."""
+        return self.burden.stiffness * self._equilibrium().von_mises
 
     def max_rotation(self) -> float:
-        """Return the largest rotation [rad] of a tet at this moment."""
+        """Return the largest rotation [rad] of a tet, of the latest balance."""
         return self._equilibrium().max_rotation
 
     def _equilibrium(self) -> Equilibrium:
         if self.linear:
             return replace(self._unmoved, displacement=self.displacement())
-        state = self._state if self._state is not None else self._rest
-        return self._unmoved if state is None else state
+        return self._following.state if self._following is not None else self._resting()
 
     def record(
         self,
@@ -334,3 +365,13 @@ def hit(origin: ArrayLike, way: ArrayLike, points: Array, triangles: Array) -> A
     slack = 1e-9
     inside = ~flat & (u >= -slack) & (v >= -slack) & (u + v <= 1 + slack) & (t > 0)
     return o + t[inside].min() * d if inside.any() else None
+
+
+def beside(origin: ArrayLike, way: ArrayLike, points: Array, angle: float) -> Array | None:
+    """Return the point nearest to a ray by angle [rad] from its origin, or None beyond."""
+    to = points - np.asarray(origin, dtype=float)
+    d = np.asarray(way, dtype=float)
+    far = np.maximum(np.linalg.norm(to, axis=1) * np.linalg.norm(d), 1e-300)
+    cosine = to @ d / far
+    best = int(cosine.argmax())
+    return points[best] if cosine[best] >= np.cos(angle) else None
