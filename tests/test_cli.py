@@ -140,6 +140,7 @@ def test_help_shows_examples():
     for command in app.registered_commands:
         name = command.name or command.callback.__name__
         assert f"Example: plantsim {name}" in command.callback.__doc__
+        assert "json" in command.callback.__annotations__, name
     done = run("push", "--help")
     assert done.returncode == 0
     assert "Example: plantsim push" in done.stdout
@@ -160,6 +161,30 @@ def test_the_shell_completes():
         check=False,
     )
     assert {"apple", "apple_spindle"} <= set(done.stdout.split()), done
+
+
+def test_the_example_of_each_command_parses():
+    """What --help shows is accepted by the parser, option by option."""
+    import re
+    import shlex
+
+    import typer
+
+    from plantsim.cli.app import app
+
+    group = typer.main.get_command(app)
+    for name, command in group.commands.items():
+        text = " ".join(command.callback.__doc__.split("Example: ")[1].split())
+        for line in re.split(r", then |\. ", text):
+            words = shlex.split(line)
+            assert words[:2] == ["plantsim", name], line
+            command.make_context(name, words[2:], resilient_parsing=False)
+
+
+def test_pictures_are_refused_before_the_work(beam, tmp_path):
+    refused("grow", "apple", "--picture", tmp_path / "a.bmp", says=".svg")
+    refused("grow", "apple", "--out", tmp_path / "a.bmp", says=".swc")
+    refused("push", beam, "--moved", "tip", "--picture", tmp_path / "a.svg", says=".png")
 
 
 def test_version_and_wrong_usage():

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from plantsim.cli.app import app
+from plantsim.cli.app import Json, app, reporting
 from plantsim.datasets.checks import Report, check_dataset
 from plantsim.datasets.folder import SECONDS, STAGES
 from plantsim.datasets.generate import Progress as Step
@@ -44,32 +44,40 @@ def dataset(
     example: Annotated[
         Path | None, typer.Option(help="Write a recipe to start from here.")
     ] = None,
+    json: Json = False,
 ) -> None:
     """Make many plants with their touches, or finish what an earlier run began.
 
     Example: plantsim dataset --example recipe.toml, then
     plantsim dataset recipe.toml --out plants, then plantsim dataset --summary plants
     """
-    console = Console()
-    if (recipe is None) != (out is None):
-        raise DatasetError("give both a recipe and --out, or neither.")
-    if all(given is None for given in (recipe, check, summary, example)):
-        raise DatasetError("nothing to do: give a recipe and --out, or see --help.")
-    if example is not None:
-        typer.echo(f"wrote {write_example(example)}")
+    console = Console(stderr=json)
     sound = True
-    if recipe is not None and out is not None:
-        try:
-            found = _generate(console, recipe, out, workers, scheduler, retry)
-        except KeyboardInterrupt:
-            typer.echo("plantsim: interrupted. The same command goes on from there.")
-            raise typer.Exit(130) from None
-        typer.echo(repr(found))
-        sound = bool(len(found))
-    if check is not None:
-        sound = _check(console, check).sound and sound
-    if summary is not None:
-        typer.echo(f"wrote {summarise(summary)}")
+    with reporting(json) as report:
+        if (recipe is None) != (out is None):
+            raise DatasetError("give both a recipe and --out, or neither.")
+        if all(given is None for given in (recipe, check, summary, example)):
+            raise DatasetError("nothing to do: give a recipe and --out, or see --help.")
+        if example is not None:
+            report.wrote(write_example(example))
+        if recipe is not None and out is not None:
+            try:
+                found = _generate(console, recipe, out, workers, scheduler, retry)
+            except KeyboardInterrupt:
+                typer.echo(
+                    "plantsim: interrupted. The same command goes on from there.", err=json
+                )
+                raise typer.Exit(130) from None
+            report.tell(
+                repr(found), folder=out, made=len(found), failed=len(found.failures)
+            )
+            sound = bool(len(found))
+        if check is not None:
+            checked = _check(console, check)
+            report.tell(sound=checked.sound, **vars(checked))
+            sound = checked.sound and sound
+        if summary is not None:
+            report.wrote(summarise(summary))
     if not sound:
         raise typer.Exit(1)
 

@@ -7,7 +7,9 @@ import typer
 
 import plantsim as ps
 from plantsim.cli.app import Json, app, reporting, species_like, working
+from plantsim.paths import writable
 from plantsim.view.skeletons import contact_sheet
+from plantsim.view.style import FORMATS as PLOTS
 
 
 @app.command()
@@ -25,7 +27,8 @@ def grow(
         Path | None, typer.Option(help="Write the skeleton here: .json, .swc or .csv.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw it here: .png; with --list, all of them.")
+        Path | None,
+        typer.Option(help="Draw it here: .png, .svg, .pdf; with --list, all of them."),
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="Show the species.")] = False,
     json: Json = False,
@@ -35,6 +38,11 @@ def grow(
     Example: plantsim grow apple --seed 7 --out apple.json --picture apple.png
     """
     with reporting(json) as report:
+        # before the work, not after it
+        if out is not None:
+            writable(out, ".json", ".swc", ".csv")
+        if picture is not None:
+            writable(picture, *PLOTS)
         if list_:
             with working("growing", len(ps.species_names())) as step:
                 rows, plants = [], []

@@ -15,6 +15,7 @@ from plantsim.errors import ModelError
 from plantsim.mesh.files import FORMATS
 from plantsim.mesh.surfaces import SURFACES
 from plantsim.paths import writable
+from plantsim.view.style import FORMATS as PLOTS
 
 SKELETONS = (".json", ".swc", ".csv")
 
@@ -36,7 +37,8 @@ def mesh(
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the mesh here: .png")] = None,
     quality: Annotated[
-        Path | None, typer.Option(help="Draw the histogram of its quality here: .png")
+        Path | None,
+        typer.Option(help="Draw the histogram of its quality here: .png, .svg."),
     ] = None,
     order: Annotated[
         int | None, typer.Option(help="1 or 2; geometry: 2, mesh: as it is.")
@@ -72,7 +74,7 @@ def mesh(
     """
     with reporting(json) as report:
         # before the work, not after it
-        kinds = ((out, (*FORMATS, *SURFACES)), (picture, (".png",)), (quality, (".png",)))
+        kinds = ((out, (*FORMATS, *SURFACES)), (picture, (".png",)), (quality, PLOTS))
         for path, suffixes in kinds:
             if path is not None:
                 writable(path, *suffixes)

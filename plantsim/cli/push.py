@@ -41,7 +41,7 @@ def push(
         if out is not None:
             writable(out, ".vtu", *SURFACES)
         if picture is not None:
-            writable(picture, ".png", ".svg")
+            writable(picture, ".png")
         found = ps.read_mesh(source)
         model = ps.ElasticModel(
             found,

@@ -1,14 +1,14 @@
 """plantsim view: a plant on a local page, to be dragged with the mouse."""
 
+import contextlib
 import signal
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
 import plantsim as ps
-from plantsim.cli.app import app, ids_from, species_like, working
+from plantsim.cli.app import Json, app, ids_from, reporting, species_like, working
 from plantsim.errors import DependencyError
 from plantsim.paths import writable
 
@@ -37,6 +37,7 @@ def view(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free one.")] = 8080,
     open_: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    json: Json = False,
 ) -> None:
     """Show a plant on a local page: drag it, feel the force, learn its stiffness.
 
@@ -51,9 +52,8 @@ def view(
             f"no viewer: {why.name} is not installed. Run: pip install 'plantsim[view]'"
         ) from None
     if touches is not None:
-        writable(touches, touches.suffix.lower())
-        with TemporaryDirectory() as folder:  # a wrong suffix is told now, not on the page
-            ps.write_observations((), Path(folder) / f"touches{touches.suffix}")
+        # a wrong suffix is told now, not on the page
+        writable(touches, ".h5", ".hdf5", ".npz")
     material = ps.Material(young, poisson, density)
     if source is not None:
         mesh, name, masses = ps.read_mesh(source), source.name, None
@@ -74,12 +74,16 @@ def view(
             port=port,
             touches=touches,
         )
-    with viewer:
-        typer.echo(f"{name} is on {viewer.url} (Ctrl-C ends it)")
+    # Ctrl-C is the way to end it, from the moment that it is told of
+    with viewer, contextlib.suppress(KeyboardInterrupt):
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        with reporting(json) as report:
+            told = f"{name} is on {viewer.url} (Ctrl-C ends it)"
+            report.tell(told, name=name, url=viewer.url)
         if host not in ("127.0.0.1", "localhost", "::1"):
             typer.echo("anyone who reaches this address may use the page", err=True)
         if open_:
             viewer.browse()
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         viewer.wait()
-    typer.echo("closed")
+    if not json:
+        typer.echo("closed")
