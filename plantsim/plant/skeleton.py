@@ -376,7 +376,7 @@ class Skeleton:
 
     def __repr__(self) -> str:
         assert self.level is not None
-        per = ", ".join(str(n) for n in np.bincount(self.level))
+        per = " + ".join(str(n) for n in np.bincount(self.level))
         note = f"; {self.note}" if self.note else ""
         return (
             f"Skeleton({len(self.limbs)} limbs by level: {per}; {len(self.points)} nodes; "
