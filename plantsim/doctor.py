@@ -28,7 +28,7 @@ EXTRAS = {
     "view": ("pyvista", "matplotlib", "viser", "imageio", "imageio-ffmpeg"),
     "io": ("h5py", "trimesh"),
     "fast": ("pypardiso", "manifold3d", "mmgpy", "pytetwild"),
-    "docs": ("mkdocs-material", "mkdocstrings"),
+    "docs": ("mkdocs-material", "mkdocstrings", "latex2mathml", "nbclient", "ipykernel"),
     "scale": ("distributed", "h5py"),
 }
 
