@@ -43,7 +43,7 @@ def run(command, folder):
     words = shlex.split(command)
     assert words[0] in ("plantsim", "./run"), command
     begin = [sys.executable, "-m", "plantsim"]
-    if words[1] == "view":
+    if words[1] == "view" and "--help" not in words:
         return seen(begin, words[1:], folder)
     done = subprocess.run(
         begin + words[1:],
