@@ -198,7 +198,7 @@ def invariance() -> Iterator[Row]:
 
 def unloaded() -> Iterator[Row]:
     """Find the apple tree that sags to the shape grown, under its wood and 40 apples."""
-    tree = ps.weber_penn("apple", rng=7, levels=2).pruned(min_radius=0.012)
+    tree = ps.weber_penn("apple", rng=7, levels=2).pruned(min_radius=0.01)
     tree = tree.with_fruit(count=40, mass=0.2, rng=1)
     for order in (1, 2):
         mesh = ps.tetrahedralize(ps.sweep(tree), order=order)

@@ -158,7 +158,7 @@ def show_maps(
             fit = maps(truth, guess(truth, kinematics), touches, TRUTH, repeat)
             out[depth, kinematics] = fit
             limbs = " | ".join(
-                f"{np.expm1(one.mean()):+.2%} ({np.expm1(np.abs(one).max()):.2%})"
+                f"{np.expm1(one.mean()):+.2%} ({np.expm1(one[np.abs(one).argmax()]):+.2%})"
                 for one in fit.error.T
             )
             print(

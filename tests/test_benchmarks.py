@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import plantsim as ps
 from plantsim.elastic.analytic import cantilever_tip
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
@@ -100,3 +101,41 @@ def test_the_viewer_is_measured(capsys):
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[0] == "fork, order 1"
     assert all(float(cell.replace(",", "")) >= 0 for cell in cells[1:])
+
+
+def test_elastica_tips_are_within_one_percent_and_greenhill_within_two():
+    bench = load("large_rotation")
+    rows = list(bench.elasticas())
+    assert len(rows) == 10
+    for name, known, ours in rows:
+        assert abs(ours - known) < 0.01, name
+    ((_, ours, known),) = bench.greenhill()
+    assert ours == pytest.approx(known, rel=0.02)
+    # the line that is drawn begins at the clamp and ends at the tip of the integrals
+    line = bench.elastica_line(5.0)
+    assert np.abs(line[0]).max() < 1e-6
+    assert line[-1] == pytest.approx(bench.elastica(5.0), abs=1e-9)
+
+
+def test_a_drag_is_measured(capsys):
+    bench = load("drag")
+    fork = ps.tetrahedralize(ps.sweep(ps.fork()), 1.5, order=1)
+    bench.main({"fork": fork}, frames=4)
+    rows = [r for r in capsys.readouterr().out.splitlines() if r.startswith("| fork")]
+    assert len(rows) == 6
+    for row in rows[:3]:
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        assert float(cells[9]) <= 1e-4  # residual
+        assert float(cells[11]) < 1e-3  # force
+
+
+def test_touches_far_off_bias_the_linear_model_and_not_the_other(capsys):
+    bench = load("large_rotation_estimates")
+    fits = bench.show_maps(1, (0.15,))
+    linear, far = fits[0.15, "linear"], fits[0.15, "corotational"]
+    assert np.abs(linear.error).min() > 1.0
+    assert linear.held == 0
+    assert (np.abs(far.error) < 4 * far.std).all()
+    assert np.abs(far.error).max() < 0.03
+    assert far.misfit == pytest.approx(1, abs=0.1)
+    assert "| 150 mm | corotational |" in capsys.readouterr().out
