@@ -145,10 +145,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path, recipe):
-    # tests run in the background have the interrupt ignored, and all below them with it
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield Bench(tmp_path, recipe)
-    signal.signal(signal.SIGINT, before)
+    return Bench(tmp_path, recipe)
 
 
 def descendants(process):
