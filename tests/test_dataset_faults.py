@@ -124,6 +124,15 @@ class Bench:
         out, err = process.communicate(timeout=PATIENCE)
         return process.returncode, out, err
 
+    def finishes(self, before, *options):
+        """Run again to the end, which is sound and redoes none of `before`."""
+        code, out, err = self.run(*options)
+        assert (code, err) == (0, "")
+        assert "8 of 8" in out
+        after = self.times()
+        assert {path: after[path] for path in before} == before
+        assert check_dataset(self.out).sound
+
     def files(self):
         return sorted(self.out.glob("plants/*/[0-9]*.h5"))
 
@@ -257,12 +266,7 @@ def test_a_cluster_of_two_workers_gives_the_same_numbers_though_the_run_was_kill
         run.communicate()
         before = bench.times()
         assert 2 <= len(before) < 8
-        code, out, err = bench.run("--scheduler", address)
-        assert (code, err) == (0, "")
-        assert "8 of 8" in out
-        after = bench.times()
-        assert {path: after[path] for path in before} == before
-        assert check_dataset(bench.out).sound
+        bench.finishes(before, "--scheduler", address)
     finally:
         for process in (hands, scheduler):
             process.terminate()
@@ -298,12 +302,7 @@ def test_sigkill_to_the_scheduler_of_a_cluster_and_a_second_run_on_a_new_one(ben
         assert err.startswith(f"plantsim: no Dask scheduler at {address}")
         scheduler, hands, address = cluster(bench, "two.json")
         started += [scheduler, hands]
-        code, out, err = bench.run("--scheduler", address)
-        assert (code, err) == (0, "")
-        assert "8 of 8" in out
-        after = bench.times()
-        assert {path: after[path] for path in before} == before
-        assert check_dataset(bench.out).sound
+        bench.finishes(before, "--scheduler", address)
         assert not makers(hands)  # the user's workers are left as they were
     finally:
         for process in started:
