@@ -5,6 +5,7 @@
     python benchmarks/meshing.py species --kernel union --seeds 25 [--only NAME]
     python benchmarks/meshing.py agree [--only NAME]
     python benchmarks/meshing.py pool --count 50
+    python benchmarks/meshing.py repeat --seeds 5 [--only NAME]
     python benchmarks/meshing.py table
 
 Every mesh adds a line to a file (--log, by default meshing.jsonl), and what is there
@@ -28,6 +29,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from littered import littered
 from random_trees import random_tree
 
 import plantsim as ps
@@ -137,6 +139,37 @@ def apart(skeleton: ps.Skeleton) -> dict[str, Any]:
         "tip": round(float(off[size[0].argmax()]), 5),
         "worst_tip": round(float(off[np.abs(off).argmax()]), 5),
     }
+
+
+def repeat(log: Log, seeds: int, only: str) -> None:
+    """Fill surfaces of each species three times, on a heap littered in other ways."""
+    for name in [only] if only else ps.species_names():
+        for seed in range(FIRST, FIRST + seeds):
+            key = ("repeat", name, seed, "HXT")
+            log.add(key, lambda n=name, s=seed: meshes(ps.weber_penn(n, rng=s)))
+
+
+def meshes(skeleton: ps.Skeleton) -> dict[str, Any]:
+    """Return how many surfaces were filled, and how many of them in more than one way."""
+    from plantsim.solid import gmsh_model, occ
+    from plantsim.solid.quality import flat_ends
+    from plantsim.solid.tetrahedralize import grow
+
+    solid = ps.sweep(skeleton.pruned(max_limbs=40))
+    filled = several = 0
+    for around, order in ((7, 2), (5, 2), (6, 1)):
+        try:
+            points, faces = occ.surface(solid, around, grow(around, order))
+            flat, found = flat_ends(solid, points), set()
+            for turn in range(3):
+                with littered(turn):
+                    x, tets = gmsh_model.fill(points, faces, flat, gmsh_model.HXT)
+                found.add((x.tobytes(), tets.tobytes()))
+        except ps.MeshError:
+            continue  # what the ladder's next rungs are for
+        filled += 1
+        several += len(found) > 1
+    return {"filled": filled, "several": several}
 
 
 def raw_surface(skeleton: ps.Skeleton) -> tuple[np.ndarray, np.ndarray]:
@@ -255,6 +288,10 @@ def table(log: Log) -> None:
     for r in rows:
         parts = [f"{100 * r[k]:+.2f} %" for k in ("volume", "tip", "worst_tip")]
         print(f"| {r['plant']} | {r['limbs']} | {' | '.join(parts)} |")
+    rows = [r for r in log.rows if r["section"] == "repeat"]
+    if rows:
+        filled, several = (sum(r[k] for r in rows) for k in ("filled", "several"))
+        print(f"\n{filled} surfaces filled three times each: {several} not always the same")
 
 
 def ratios(log: Log) -> None:
@@ -274,7 +311,7 @@ def ratios(log: Log) -> None:
 
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    sections = ("trees", "peers", "species", "agree", "pool", "table")
+    sections = ("trees", "peers", "species", "agree", "pool", "repeat", "table")
     options.add_argument("section", choices=sections)
     options.add_argument("--kernel", choices=("occ", "union"), default="union")
     options.add_argument("--limbs", type=int, default=100)
@@ -294,6 +331,8 @@ def main() -> None:
         species(log, given.kernel, given.seeds, given.only)
     elif given.section == "agree":
         agree(log, given.only)
+    elif given.section == "repeat":
+        repeat(log, given.seeds, given.only)
     return table(log)
 
 

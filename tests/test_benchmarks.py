@@ -133,8 +133,8 @@ def test_touches_far_off_bias_the_linear_model_and_not_the_other(capsys):
     bench = load("large_rotation_estimates")
     fits = bench.show_maps(1, (0.15,))
     linear, far = fits[0.15, "linear"], fits[0.15, "corotational"]
-    assert np.abs(linear.error).min() > 1.0
-    assert linear.held == 0
+    assert np.median(np.abs(linear.error)) > 1.0
+    assert linear.held == 0  # not one limb's interval, though errors may cancel in one
     assert (np.abs(far.error) < 4 * far.std).all()
     assert np.abs(far.error).max() < 0.03
     assert far.misfit == pytest.approx(1, abs=0.1)

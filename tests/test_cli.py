@@ -60,7 +60,7 @@ def test_mesh_of_a_skeleton_and_of_a_script(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "edge/radius" in done.stdout
-    assert "attempt 1, HXT: surface " in done.stdout
+    assert "attempt 1, Delaunay: surface " in done.stdout
     assert "set tips:" in done.stdout
     for path in (quality, *pictures[1:]):
         assert path.read_bytes().startswith(b"\x89PNG")

@@ -169,7 +169,7 @@ def test_made_plants_read_back_and_agree_with_the_model(recipe, made):
     grown = ps.WeberPenn.from_mapping(json.loads(str(plant.facts["parameters"])))
     assert grown == drawn(recipe, 1).model
     assert json.loads(str(plant.facts["versions"]))["numpy"] == np.__version__
-    assert plant.facts["mesher"] == "occ, HXT"
+    assert plant.facts["mesher"] in ("occ, HXT", "occ, Delaunay")
     assert "SuperLU" in str(plant.facts["solver"])
     with store.opened(plant.path) as f:
         run = store.run(f)

@@ -4,6 +4,7 @@ import numpy as np
 
 from plantsim.arrays import Array
 
+BLOCK = 500  # tets at a time
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # VTK: nodes 4 to 9
 _CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 # The ten nodes, drawn a tenth of the way to the centre, where a curved tet must not be
@@ -46,13 +47,18 @@ def _norm(a: Array) -> Array:
 def jacobians(points: Array, tets: Array, at: Array) -> Array:
     """Return det J (m, k) of quadratic tets at reference points (k, 3)."""
     shape = _gradients(at).transpose(2, 0, 1).reshape(-1, 10)  # (3 k, 10)
-    x, y, z = (
-        (shape @ points[:, axis][tets.T]).reshape(3, len(at), -1) for axis in range(3)
-    )
-    J = x[0] * (y[1] * z[2] - y[2] * z[1])
-    J += x[1] * (y[2] * z[0] - y[0] * z[2])
-    J += x[2] * (y[0] * z[1] - y[1] * z[0])
-    return J.T
+    out = np.empty((len(tets), len(at)))
+    # by blocks that stay in the cache, and for which BLAS does not wake its threads
+    for start in range(0, len(tets), BLOCK):
+        block = tets[start : start + BLOCK].T
+        x, y, z = (
+            (shape @ points[:, axis][block]).reshape(3, len(at), -1) for axis in range(3)
+        )
+        J = x[0] * (y[1] * z[2] - y[2] * z[1])
+        J += x[1] * (y[2] * z[0] - y[0] * z[2])
+        J += x[2] * (y[0] * z[1] - y[1] * z[0])
+        out[start : start + BLOCK] = J.T
+    return out
 
 
 def _gradients(at: Array) -> Array:

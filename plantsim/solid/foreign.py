@@ -150,7 +150,8 @@ def _fill(gmsh_model: Any, points: Array, faces: Array) -> tuple[Array, Array]:
     """Fill by HXT, or by Delaunay where that fails, and mend slivers inside."""
     still = np.ones(len(points), dtype=bool)
     try:
-        x, tets = gmsh_model.fill(points, faces, still, gmsh_model.HXT)
+        first = gmsh_model.able(gmsh_model.HXT, points, faces)
+        x, tets = gmsh_model.fill(points, faces, still, first)
     except MeshError:
         x, tets = gmsh_model.fill(points, faces, still, gmsh_model.DELAUNAY)
     held = np.arange(len(x)) < len(points)

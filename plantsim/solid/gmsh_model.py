@@ -18,6 +18,7 @@ import numpy as np
 from plantsim.arrays import Array
 from plantsim.errors import DependencyError, MeshError
 from plantsim.mesh.tetmesh import GMSH_ORDER
+from plantsim.solid.heap import fresh_heap, room_behind
 from plantsim.solid.rings import Ring
 
 try:
@@ -31,6 +32,8 @@ except OSError as why:  # gmsh's wheel needs system libraries that it does not b
 gmsh: Any = _gmsh  # its stubs call arrays lists
 HXT, DELAUNAY = 10, 1  # Mesh.Algorithm3D
 TETS = {1: 4, 2: 11}  # element types by order
+NAMES = {HXT: "HXT", DELAUNAY: "Delaunay"}
+ROOM = 64  # bytes behind HXT's arrays; four more triangles have been seen
 SHAKE = 1e-3  # of the shortest edge at a point
 
 
@@ -223,6 +226,16 @@ def _end_faces(seams: Sequence[Ring], around: int) -> set[int]:
     return discs
 
 
+def able(algorithm: int, points: Array, faces: Array) -> int:
+    """Return the 3D algorithm to fill a surface by: the wanted one, or Delaunay for HXT.
+
+    HXT may go beyond arrays with a value per point or triangle (`heap.fresh_heap`), and is
+    used where that does no harm.
+    """
+    behind = (room_behind(8 * len(points)), room_behind(8 * len(faces)))
+    return DELAUNAY if algorithm == HXT and min(behind) < ROOM else algorithm
+
+
 def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Array, Array]:
     """Return points and tets that fill a closed surface, whose points come first.
 
@@ -235,24 +248,27 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
     local = np.full(len(points), np.inf)
     np.minimum.at(local, faces.ravel(), edge.ravel())
     shake = np.random.default_rng(0).uniform(-SHAKE, SHAKE, points.shape)
-    shaken = points + np.where(flat, 0, local)[:, None] * shake
+    shaken = (points + np.where(flat, 0, local)[:, None] * shake).ravel()
+    tags, corners = np.arange(1, len(points) + 1), faces.ravel() + 1
     with session(
         Mesh__Algorithm3D=algorithm,
-        Mesh__Optimize=1,
-        Mesh__OptimizeThreshold=0.15 if algorithm == HXT else 0.3,
+        Mesh__Optimize=algorithm != HXT,
+        Mesh__OptimizeThreshold=0.3,
         Mesh__MeshSizeExtendFromBoundary=1,
         Mesh__MeshSizeFromPoints=0,
         Mesh__MeshSizeFromCurvature=0,
     ):
         skin = gmsh.model.addDiscreteEntity(2)
-        gmsh.model.mesh.addNodes(2, skin, np.arange(1, len(points) + 1), shaken.ravel())
-        gmsh.model.mesh.addElementsByType(skin, 2, [], faces.ravel() + 1)
-        loop = gmsh.model.geo.addSurfaceLoop([skin])
-        gmsh.model.geo.addVolume([loop])
-        gmsh.model.geo.synchronize()
-        with _mute():
+        with fresh_heap(), _mute():
+            gmsh.model.mesh.addNodes(2, skin, tags, shaken)
+            gmsh.model.mesh.addElementsByType(skin, 2, [], corners)
+            loop = gmsh.model.geo.addSurfaceLoop([skin])
+            gmsh.model.geo.addVolume([loop])
+            gmsh.model.geo.synchronize()
             gmsh.model.mesh.generate(3)
-        filled, tets, *_ = arrays(1)
+            for _ in range(2 if algorithm == HXT else 0):
+                gmsh.model.mesh.optimize()
+            filled, tets, *_ = arrays(1)
     filled = filled.copy()
     filled[: len(points)] = points
     return filled, tets

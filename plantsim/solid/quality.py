@@ -1,6 +1,7 @@
 """Raw mesh to sound mesh: slivers repaired, surfaces curved, limbs labelled."""
 
 import itertools
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -16,6 +17,8 @@ from plantsim.mesh.tetmesh import (
 )
 from plantsim.solid.sweep import Solid, Tube
 
+TURNS, TANGENTIAL = 25, 10  # of repair, in all and keeping to the tangent planes
+
 
 def repair(
     points: Array,
@@ -30,7 +33,9 @@ def repair(
 
     Each corner of a tet whose gamma is under `below` is moved in turn to the best of some
     random steps, where that raises the worst gamma of the tets about it. Steps shrink from
-    0.35 of the local edge. `tets` (m, 4); vertices in the mask `held` (n,) stay.
+    0.35 of the local edge; the long ones of a corner on the surface keep to its tangent
+    plane, so that limbs keep their thickness. `tets` (m, 4); vertices in the mask `held`
+    (n,) stay.
     """
     rng = np.random.default_rng(seed)
     points = points.copy()
@@ -40,12 +45,15 @@ def repair(
         return points, 0, 0
     order = np.argsort(tets.ravel(), kind="stable")
     start = np.searchsorted(tets.ravel()[order], np.arange(len(points) + 1))
-    for turn in range(25):
+    normal = _normals(points, boundary(tets))
+    for turn in range(TURNS):
         amplitude = 0.35 * 0.85**turn
+        if turn == TANGENTIAL:
+            normal[:] = 0
         for tet in bad:
             for v in tets[tet][~held[tets[tet]]]:
                 star = order[start[v] : start[v + 1]] // 4
-                _move(points, tets[star], v, amplitude, rng)
+                _move(points, tets[star], v, amplitude, normal[v], rng)
         bad = bad[gamma(points[tets[bad]]) < target]
         if turn % 5 == 4 or not len(bad):
             bad = np.flatnonzero(gamma(points[tets]) < below)
@@ -54,8 +62,22 @@ def repair(
     return points, before, int((gamma(points[tets]) < below).sum())
 
 
+def _normals(points: Array, faces: Array) -> Array:
+    """Return unit normals (n, 3) at the corners of triangles, zero at other points."""
+    a, b, c = points[faces[:, :3]].transpose(1, 0, 2)
+    total = np.zeros_like(points)
+    for corner in faces[:, :3].T:
+        np.add.at(total, corner, np.cross(b - a, c - a))
+    return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+
+
 def _move(
-    points: Array, star: Array, v: int, amplitude: float, rng: np.random.Generator
+    points: Array,
+    star: Array,
+    v: int,
+    amplitude: float,
+    normal: Array,
+    rng: np.random.Generator,
 ) -> None:
     """Move vertex v to the best of 48 random places if the worst tet of its star gains."""
     x = points[star]
@@ -64,6 +86,7 @@ def _move(
     step = rng.normal(size=(48, 3)) * (
         amplitude * edge * rng.uniform(0.1, 1, (48, 1)) / 1.7
     )
+    step -= (step @ normal)[:, None] * normal
     trial = np.repeat(x[None], 48, axis=0)
     trial[:, mine] = points[v] + step[:, None]
     worst = gamma(trial).min(axis=1)
@@ -171,20 +194,21 @@ def limb_sets(solid: Solid, points: Array, tets: Array, region: Array) -> dict[s
     places = boundary_places(tets)
     faces, behind = boundary(tets, places), region[places // len(FACES)]
     outer = np.unique(faces)
-    x = points[outer]
     tips = np.zeros(len(outer), dtype=bool)
     carries = {t.parent for t in solid.tubes if t.joint > 1 - 1e-6}
-    for i, tube in enumerate(solid.tubes):
-        if i not in carries:
-            r = float(tube.radius(1.0))
-            off = x - tube.axis(1.0)
-            near = (off**2).sum(axis=1) < (1.3 * r) ** 2
-            tips |= near & (off @ tube.tangent(1.0) > -1e-6 * r)
+    ends = [t for i, t in enumerate(solid.tubes) if i not in carries]
+    centre = np.array([t.axis(1.0) for t in ends])
+    r = np.array([float(t.radius(1.0)) for t in ends])
+    near = KDTree(points[outer]).query_ball_point(centre, 1.3 * r)
+    for tube, at, size, mine in zip(ends, centre, r, near, strict=True):
+        off = points[outer[mine]] - at
+        tips[mine] |= off @ tube.tangent(1.0) > -1e-6 * size
     sets = {"base": np.flatnonzero(on_foot(solid, points)), "tips": outer[tips]}
-    order = np.argsort(behind, kind="stable")
-    cuts = np.searchsorted(behind[order], np.arange(1, len(solid.tubes)))
-    for tube, rows in zip(solid.tubes, np.split(order, cuts), strict=True):
-        sets[f"limb {tube.name}"] = np.unique(faces[rows])
+    n = len(points)
+    pairs = np.unique(behind[:, None] * n + faces)
+    cuts = np.searchsorted(pairs, n * np.arange(1, len(solid.tubes)))
+    for tube, mine in zip(solid.tubes, np.split(pairs % n, cuts), strict=True):
+        sets[f"limb {tube.name}"] = mine
     return sets
 
 
@@ -202,7 +226,7 @@ def on_axis(
     boxes = _Boxes(x) if limb is None else None
     for reach in (1.6, np.inf):  # in radii: who is in no limb's box is compared with all
         waiting = np.isinf(ratio)
-        for i, (axis, tangent, r, slope) in enumerate(samples):
+        for i, (tree, axis, tangent, r, slope) in enumerate(samples):
             if limb is not None:
                 rows = np.flatnonzero(waiting & (limb == i))
             elif boxes is None or reach == np.inf:
@@ -211,7 +235,7 @@ def on_axis(
                 rows = boxes.about(axis, reach * r)
             if not len(rows):
                 continue
-            at = KDTree(axis).query(x[rows])[1]
+            at = tree.query(x[rows])[1]
             along = ((x[rows] - axis[at]) * tangent[at]).sum(axis=1)
             # samples are half a radius apart: do not run along the tangent beyond
             last = np.isinf(slope[at])
@@ -247,8 +271,9 @@ class _Boxes:
         return np.unique(np.concatenate(out))
 
 
-def _samples(solid: Solid) -> list[tuple[Array, Array, Array, Array]]:
-    """Return axis points, tangents, radii and slopes dr/ds (inf at tips), by tube."""
+@lru_cache(maxsize=1)  # a mesh asks five times
+def _samples(solid: Solid) -> list[tuple[KDTree, Array, Array, Array, Array]]:
+    """Return a tree of axis points, these, tangents, radii, dr/ds (tips: inf), by tube."""
     out = []
     for tube, leaves in zip(solid.tubes, solid.emergence, strict=True):
         u = tube.stations[tube.stations >= leaves]
@@ -256,5 +281,5 @@ def _samples(solid: Solid) -> list[tuple[Array, Array, Array, Array]]:
         s = np.r_[0, np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))]
         slope = np.gradient(r, s) if len(u) > 1 else np.zeros(1)
         slope[-1] = np.inf
-        out.append((x, tube.tangent(u), r, slope))
+        out.append((KDTree(x), x, tube.tangent(u), r, slope))
     return out

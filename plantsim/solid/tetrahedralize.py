@@ -125,15 +125,16 @@ def _climbed(
     for turn, whole, algorithms in LADDER:
         skin: Any = None  # one surface for all algorithms of a rung
         for algorithm in algorithms:
-            name = "HXT" if algorithm == gmsh_model.HXT else "Delaunay"
-            note: dict[str, Any] = {"algorithm": name, "turn": turn, "whole": whole}
+            note: dict[str, Any] = {"turn": turn, "whole": whole}
             attempts.append(note)
             try:
                 if skin is None:
                     ask = solid, around, growth, turn, whole
                     skin = _timed(note, "surface", occ.surface, *ask)
                 flat = flat_ends(solid, skin[0])
-                ask = *skin, flat, algorithm
+                used = gmsh_model.able(algorithm, *skin)
+                note["algorithm"] = gmsh_model.NAMES[used]
+                ask = *skin, flat, used
                 return finish(*_timed(note, "fill", gmsh_model.fill, *ask))
             except MeshError as why:
                 note["failure"] = str(why)

@@ -112,11 +112,12 @@ def mended(
     moved = _on_tubes(solid, Skin(points, faces, limb), fresh, grow)
     mine = faces[fresh[faces].any(axis=1)]
     for _ in range(8):
-        back = crossings(moved, mine)
+        crossed = crossings(moved, mine)
+        back = crossed.copy()
         back[mine[_turned(points, moved, mine)]] = True
         back &= (moved != points).any(axis=1)
         if not back.any():
-            break
+            return Skin(moved, faces, limb), crossed
         moved[back] = points[back]
     return Skin(moved, faces, limb), crossings(moved, mine)
 
@@ -208,11 +209,12 @@ def meshed(
             if "algorithm" in note:
                 note = {"zone": zone}
                 attempts.append(note)
-            note["algorithm"] = "HXT" if algorithm == gmsh_model.HXT else "Delaunay"
+            used = gmsh_model.able(algorithm, skin.points, skin.faces)
+            note["algorithm"] = gmsh_model.NAMES[used]
             points, tets = skin.points, np.zeros((0, 4), dtype=np.int64)
             try:
                 points, tets = timed(
-                    note, "fill", gmsh_model.fill, skin.points, skin.faces, flat, algorithm
+                    note, "fill", gmsh_model.fill, skin.points, skin.faces, flat, used
                 )
                 region = timed(note, "label", limbs, solid, skin, points, tets)
                 return finish(points, tets, (region, skin.limb_of))
