@@ -7,6 +7,7 @@ return no tets.
 
 import ctypes
 import os
+import re
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -34,6 +35,7 @@ HXT, DELAUNAY = 10, 1  # Mesh.Algorithm3D
 TETS = {1: 4, 2: 11}  # element types by order
 NAMES = {HXT: "HXT", DELAUNAY: "Delaunay"}
 ROOM = 64  # bytes behind HXT's arrays; four more triangles have been seen
+SHAKES = 3  # ways in which HXT gets a surface
 SHAKE = 1e-3  # of the shortest edge at a point
 
 
@@ -241,15 +243,27 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
 
     The filler gets the surface shaken by a thousandth of its edges: rings have many points
     on one sphere, of which it would make tets without volume (an eighth more in all).
-    Points in the mask `flat` (n,) are not, so that flat ends stay flat.
+    Points in the mask `flat` (n,) are not, so that flat ends stay flat. Where HXT needs
+    further points to keep the surface, which is where it reads what it did not write, it
+    gets the surface shaken in another way. Raises MeshError if it always does.
     """
     ends = points[faces]
     edge = np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=2)
     local = np.full(len(points), np.inf)
     np.minimum.at(local, faces.ravel(), edge.ravel())
-    shake = np.random.default_rng(0).uniform(-SHAKE, SHAKE, points.shape)
-    shaken = (points + np.where(flat, 0, local)[:, None] * shake).ravel()
-    tags, corners = np.arange(1, len(points) + 1), faces.ravel() + 1
+    for seed in range(SHAKES if algorithm == HXT else 1):
+        shake = np.random.default_rng(seed).uniform(-SHAKE, SHAKE, points.shape)
+        shaken = points + np.where(flat, 0, local)[:, None] * shake
+        filled = _filled(shaken, faces, algorithm)
+        if filled is not None:
+            filled[0][: len(points)] = points
+            return filled
+    raise MeshError("gmsh: HXT cannot keep the surface without points of its own.")
+
+
+def _filled(points: Array, faces: Array, algorithm: int) -> tuple[Array, Array] | None:
+    """Return points and tets, or None where HXT has added points to keep the surface."""
+    tags, xyz, corners = np.arange(1, len(points) + 1), points.ravel(), faces.ravel() + 1
     with session(
         Mesh__Algorithm3D=algorithm,
         Mesh__Optimize=algorithm != HXT,
@@ -260,18 +274,25 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
     ):
         skin = gmsh.model.addDiscreteEntity(2)
         with fresh_heap(), _mute():
-            gmsh.model.mesh.addNodes(2, skin, tags, shaken)
+            gmsh.model.mesh.addNodes(2, skin, tags, xyz)
             gmsh.model.mesh.addElementsByType(skin, 2, [], corners)
             loop = gmsh.model.geo.addSurfaceLoop([skin])
             gmsh.model.geo.addVolume([loop])
             gmsh.model.geo.synchronize()
+            gmsh.logger.start()
             gmsh.model.mesh.generate(3)
-            for _ in range(2 if algorithm == HXT else 0):
-                gmsh.model.mesh.optimize()
+            # "Delaunay of 213 points on 1 threads - mesh.nvert: 7020", a line a round
+            vertices = [
+                int(n) for n in re.findall(r"nvert: *(\d+)", "\n".join(gmsh.logger.get()))
+            ]
+            gmsh.logger.stop()
+            if algorithm == HXT:
+                if len(vertices) > 1 and vertices[1] != len(points):
+                    return None
+                for _ in range(2):
+                    gmsh.model.mesh.optimize()
             filled, tets, *_ = arrays(1)
-    filled = filled.copy()
-    filled[: len(points)] = points
-    return filled, tets
+            return filled.copy(), tets
 
 
 def open_file(path: str) -> None:

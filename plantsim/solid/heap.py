@@ -6,9 +6,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # glibc's mallopt
+TRIM_THRESHOLD, TOP_PAD, MMAP_THRESHOLD = -1, -2, -3  # glibc's mallopt
 LARGEST = 32 << 20  # bytes; what glibc ever takes from the heap
 ALONE = 16 << 10  # bytes; longer arrays come from the system inside `fresh_heap`
+RESERVE = 128 << 10  # bytes; what glibc asks for beyond its need
 WORD = 8  # bytes
 LAST_BIN = 1032  # bytes; smaller requests have lists of free chunks of just their size
 
@@ -53,8 +54,9 @@ def fresh_heap() -> Iterator[None]:
     if libc is None:
         yield
         return
-    libc.malloc_trim(0)
     libc.mallopt(MMAP_THRESHOLD, ALONE)
+    libc.mallopt(TOP_PAD, 0)  # or large arrays are cut from what the heap has in reserve
+    libc.malloc_trim(0)
     kept = []
     size = ALONE // 2
     while size > 0:
@@ -71,6 +73,7 @@ def fresh_heap() -> Iterator[None]:
         # where glibc's own thresholds end that move with what was freed
         libc.mallopt(MMAP_THRESHOLD, LARGEST)
         libc.mallopt(TRIM_THRESHOLD, 2 * LARGEST)
+        libc.mallopt(TOP_PAD, RESERVE)
 
 
 def room_behind(length: int) -> int:
