@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, cg
 
 from plantsim.arrays import Array
@@ -34,6 +35,7 @@ FAR = 2.0  # largest change of a log-modulus in one step
 SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
 HALVINGS = 12
 PAIRS = 100  # directions remembered for the preconditioner
+WORN = 15  # CG iterations from which on a whole Hessian is made anew
 NEAR = 0.1  # change of a log-modulus up to which the Hessian is much the same
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 GAIN = 0.1  # of the mean gain of CG's iterations: less, and it stops
@@ -260,7 +262,9 @@ def _direction(
 ) -> tuple[Array, int]:
     """Return the Gauss-Newton step, and the CG iterations it took."""
     p = len(g)
-    if here.chart.columns.shape[1] <= FEW:
+    if here.chart.columns.shape[1] <= FEW and (memory.whole is None or memory.worn):
+        memory.whole, memory.worn = here.dense_hessian, False
+        memory.clear()
         return -np.linalg.solve(here.dense_hessian / here.temper + np.eye(p), g), 0
 
     def product(v: Array) -> Array:
@@ -278,6 +282,7 @@ def _direction(
     except _Enough:
         step = watch.step
     memory.add(new)
+    memory.worn = watch.count > WORN
     return step, watch.count
 
 
@@ -292,6 +297,8 @@ class Memory:
         """Keep up to so many pairs of a direction v and the misfit's Hessian A v."""
         self.pairs = pairs
         self.kept: list[tuple[Array, Array]] = []
+        self.whole: Array | None = None  # the Hessian of an earlier iterate, if made
+        self.worn = False  # whether that serves no more
 
     def add(self, new: Sequence[tuple[Array, Array]]) -> None:
         """Add pairs, forgetting the oldest."""
@@ -308,6 +315,9 @@ class Memory:
             y = v + Av / temper
             size = np.sqrt(np.einsum("i,i", v, y))
             pairs.append((v / size, y / size))
+        whole = None
+        if self.whole is not None:
+            whole = cho_factor(self.whole / temper + np.eye(len(self.whole)))
 
         def apply(v: Array) -> Array:
             out = np.ravel(v).copy()
@@ -315,6 +325,8 @@ class Memory:
             for s, y in reversed(pairs):
                 share.append(float(np.einsum("i,i", s, out)))
                 out -= share[-1] * y
+            if whole is not None:
+                out = cho_solve(whole, out)
             for s, y in pairs:
                 out += (share.pop() - float(np.einsum("i,i", y, out))) * s
             return out

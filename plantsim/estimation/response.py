@@ -29,7 +29,7 @@ from plantsim.estimation.cases import Case
 from plantsim.solve.stats import norm
 
 ACCEPTED = 1e-8  # backward error of an equilibrium
-MANY = 300  # columns that are solved for at a time
+MANY = 60  # columns that are solved for at a time
 
 
 class Response(ABC):
@@ -163,19 +163,19 @@ class LinearResponse(Response):
 
     def _compliance(self) -> list[Array]:
         """Return Y of every case."""
-        ids = [case.moved for case in self.cases]
-        all_ids = np.unique(np.concatenate(ids))
-        at = self.rows(all_ids)
-        Y = np.empty((3 * len(self.free), len(at)), order="F")
+        at = np.unique(np.concatenate(self._at))
+        where = [np.searchsorted(at, own) for own in self._at]
+        nf = 3 * len(self.free)
+        out = [np.empty((nf, len(own)), order="F") for own in self._at]
         for start in range(0, len(at), MANY):
             part = at[start : start + MANY]
-            E = np.zeros((len(Y), len(part)), order="F")
+            E = np.zeros((nf, len(part)), order="F")
             E[part, np.arange(len(part))] = 1
-            Y[:, start : start + MANY] = self.solve(E)
-        where = [np.searchsorted(all_ids, own) for own in ids]
-        if len(ids) == 1:
-            return [Y]
-        return [Y[:, (3 * w[:, None] + np.arange(3)).ravel()] for w in where]
+            Y = self.solve(E)
+            for own, w in zip(out, where, strict=True):
+                mine = np.flatnonzero((w >= start) & (w < start + len(part)))
+                own[:, mine] = Y[:, w[mine] - start]
+        return out
 
     @staticmethod
     def _positive(S: Array) -> Array:
