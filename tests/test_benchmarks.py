@@ -88,6 +88,26 @@ def test_table_one_in_short(tmp_path, capsys):
     assert "gone" not in capsys.readouterr().out
 
 
+def test_what_every_touch_brings_in_short(capsys):
+    bench = load("every_touch")
+    bench.main(["fork"], 2, 2)
+    out = capsys.readouterr().out
+    assert "fork, 2 seeds" in out
+    assert [line.split("|")[1].strip() for line in out.splitlines()[-2:]] == ["1", "2"]
+
+
+def test_the_clock_of_estimates_in_short(capsys):
+    fork = ps.tetrahedralize(ps.sweep(ps.fork()), 1.5, order=1)
+    load("estimation_speed").main(fork, ["element", "limbs"], 2, 1)
+    rows = [r for r in capsys.readouterr().out.splitlines() if r.startswith("| ")][1:]
+    assert [r.split("|")[1].strip() for r in rows] == [
+        "every tet",
+        "50 limbs, lame",
+        "50 limbs, young",
+    ]
+    assert all(float(r.split("|")[4]) > 0 for r in rows)
+
+
 def test_next_touch_in_short(capsys):
     errors = load("next_touch").main(1, 2, 3)
     assert errors["next"][0, 0] == errors["random"][0, 0]
