@@ -18,29 +18,23 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse.linalg import LinearOperator, cg
 
 from plantsim.arrays import Array
 from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
+from plantsim.estimation.direction import GAIN, Memory, direction_of
 from plantsim.estimation.large_response import respond
 from plantsim.estimation.parameters import Chart
 from plantsim.estimation.response import Response
 
-FEW = 128  # columns of a chart up to which the Jacobian is made, not only applied
 FAR = 2.0  # largest change of a log-modulus in one step
 SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
 HALVINGS = 12
-PAIRS = 100  # directions remembered for the preconditioner
-WORN = 15  # CG iterations from which on a whole Hessian is made anew
 NEAR = 0.1  # change of a log-modulus up to which the Hessian is much the same
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
-GAIN = 0.1  # of the mean gain of CG's iterations: less, and it stops
 DEAR = 25.0  # times what is enough to stop at: that rule counts no larger gains
-RESIDUAL = 1e-6  # of the gradient at which CG stops anyhow
 STRAIGHT = 0.5  # of the forecast decrease: less, and a step is bent
 
 
@@ -168,7 +162,7 @@ def solve(
     xi = _start(model, chart, cases)
     here = Objective(model, chart, cases, xi)
     path: list[Step] = []
-    memory = Memory(PAIRS)
+    memory = Memory()
     change, share, inner = 0.0, 1.0, 0
 
     def tell(gradient: float) -> None:
@@ -188,11 +182,11 @@ def solve(
         tell(size)
         enough = 2 * options.tolerance * max(here.cost, readings / 2)
         dear = DEAR * enough / 2
-        direction, inner = _direction(here, g, memory, options, dear)
+        direction, inner = direction_of(here, g, memory, options.inner, dear)
         promise = -float(g @ direction)  # twice the decrease of the quadratic model
         if temper == 1 and promise <= enough:
             # whether there is really so little to gain, CG says when it goes farther
-            direction, more = _direction(here, g, memory, options, dear, GAIN / 10)
+            direction, more = direction_of(here, g, memory, options.inner, dear, GAIN / 10)
             promise, inner = -float(g @ direction), inner + more
         if temper == 1 and promise <= enough:
             break
@@ -209,7 +203,9 @@ def solve(
             direction,
             promise,
             min(1.0, FAR / far),
-            lambda y, here=here, dear=dear: _direction(here, y, memory, options, dear)[0],
+            lambda y, here=here, dear=dear: direction_of(
+                here, y, memory, options.inner, dear
+            )[0],
         )
         if there is None:
             raise EstimateError(
@@ -250,115 +246,6 @@ def _start(model: ElasticModel, chart: Chart, cases: Sequence[Case]) -> Array:
         above += float(model_f @ (c.force_weight * c.force))
         below += float(model_f @ (c.force_weight * model_f))
     return chart.start(float(np.log(above / below))) if above > 0 and below > 0 else none
-
-
-def _direction(
-    here: Objective,
-    g: Array,
-    memory: "Memory",
-    options: Options,
-    dear: float,
-    gain: float = GAIN,
-) -> tuple[Array, int]:
-    """Return the Gauss-Newton step, and the CG iterations it took."""
-    p = len(g)
-    if here.chart.columns.shape[1] <= FEW and (memory.whole is None or memory.worn):
-        memory.whole, memory.worn = here.dense_hessian, False
-        memory.clear()
-        return -np.linalg.solve(here.dense_hessian / here.temper + np.eye(p), g), 0
-
-    def product(v: Array) -> Array:
-        v = np.ravel(v).copy()
-        Av = here.hessian(v)
-        new.append((v, Av))
-        return v + Av / here.temper
-
-    new: list[tuple[Array, Array]] = []
-    H: Any = LinearOperator((p, p), matvec=product, dtype=float)  # type: ignore[call-arg]
-    M: Any = LinearOperator((p, p), matvec=memory.inverse(here.temper), dtype=float)  # type: ignore[call-arg]
-    watch = _Watch(g, gain, dear)
-    try:
-        step, _ = cg(H, -g, M=M, rtol=RESIDUAL, maxiter=options.inner, callback=watch)
-    except _Enough:
-        step = watch.step
-    memory.add(new)
-    memory.worn = watch.count > WORN
-    return step, watch.count
-
-
-class Memory:
-    """What CG learnt of the Hessian, as the preconditioner of the next steps.
-
-    Source: Morales and Nocedal 2000, SIAM J. Optim. 10, automatic preconditioning by
-    limited memory quasi-Newton updating.
-    """
-
-    def __init__(self, pairs: int) -> None:
-        """Keep up to so many pairs of a direction v and the misfit's Hessian A v."""
-        self.pairs = pairs
-        self.kept: list[tuple[Array, Array]] = []
-        self.whole: Array | None = None  # the Hessian of an earlier iterate, if made
-        self.worn = False  # whether that serves no more
-
-    def add(self, new: Sequence[tuple[Array, Array]]) -> None:
-        """Add pairs, forgetting the oldest."""
-        self.kept = [*self.kept, *new][-self.pairs :]
-
-    def clear(self) -> None:
-        """Forget all."""
-        self.kept = []
-
-    def inverse(self, temper: float) -> Callable[[Array], Array]:
-        """Return the approximate inverse of I + A / temper: L-BFGS, two loops."""
-        pairs = []
-        for v, Av in self.kept:
-            y = v + Av / temper
-            size = np.sqrt(np.einsum("i,i", v, y))
-            pairs.append((v / size, y / size))
-        whole = None
-        if self.whole is not None:
-            whole = cho_factor(self.whole / temper + np.eye(len(self.whole)))
-
-        def apply(v: Array) -> Array:
-            out = np.ravel(v).copy()
-            share = []
-            for s, y in reversed(pairs):
-                share.append(float(np.einsum("i,i", s, out)))
-                out -= share[-1] * y
-            if whole is not None:
-                out = cho_solve(whole, out)
-            for s, y in pairs:
-                out += (share.pop() - float(np.einsum("i,i", y, out))) * s
-            return out
-
-        return apply
-
-
-class _Enough(Exception):
-    """CG has gone far enough: no error."""
-
-
-class _Watch:
-    """Stops CG where its next step would gain little of what it has gained.
-
-    From zero, CG's k-th point x has the quadratic model g x / 2. The rule is that of Nash
-    and Sofer 1990, Oper. Res. Lett. 9: stop when an iteration gains less than a share of
-    the mean of those before it. Large gains at first do not hide what is still to be had:
-    they count as `dear` at most.
-    """
-
-    def __init__(self, g: Array, gain: float, dear: float) -> None:
-        self.g, self.least, self.dear = g, gain, dear
-        self.count, self.gained = 0, 0.0
-        self.step = np.zeros_like(g)
-
-    def __call__(self, x: Array) -> None:
-        self.count += 1
-        gained = -0.5 * float(self.g @ x)
-        now = gained - self.gained
-        self.gained, self.step = gained, x.copy()
-        if self.count > 1 and self.count * now < self.least * min(gained, self.dear):
-            raise _Enough
 
 
 def _search(
