@@ -13,7 +13,7 @@ stiff readings leave them.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +24,7 @@ from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
-from plantsim.estimation.direction import GAIN, Memory, direction_of
+from plantsim.estimation.direction import FEW, FEWER, GAIN, Memory, direction_of
 from plantsim.estimation.large_response import respond
 from plantsim.estimation.parameters import Chart
 from plantsim.estimation.response import Response
@@ -35,6 +35,8 @@ HALVINGS = 12
 NEAR = 0.1  # change of a log-modulus up to which the Hessian is much the same
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 DEAR = 25.0  # times what is enough to stop at: that rule counts no larger gains
+FIRST = 3  # touches that lead the way
+ROUGH = 10.0  # times the tolerance at which they stop
 STRAIGHT = 0.5  # of the forecast decrease: less, and a step is bent
 
 
@@ -108,6 +110,12 @@ class Objective:
         self.temper = 1.0  # the misfit counts that many times less
 
     @property
+    def readings(self) -> int:
+        """Numbers seen and felt."""
+        seen = sum(int((c.displacement_weight > 0).sum()) for c in self.cases)
+        return seen + sum(len(c.force) for c in self.cases)
+
+    @property
     def cost(self) -> float:
         """Return what is minimised."""
         return self.misfit / self.temper + self.prior
@@ -157,30 +165,65 @@ class Objective:
 def solve(
     model: ElasticModel, chart: Chart, cases: Sequence[Case], options: Options
 ) -> tuple[Objective, MapStats]:
-    """Return the objective at its minimum, and how that was found."""
-    began = time.perf_counter()
-    xi = _start(model, chart, cases)
-    here = Objective(model, chart, cases, xi)
-    path: list[Step] = []
+    """Return the objective at its minimum, and how that was found.
+
+    Where the Hessian is made whole, and not at every iteration, a few touches lead the way:
+    their minimum, roughly, is where all begin.
+    """
+    track = _Track(options)
+    few = sorted(cases, key=lambda c: not len(c.force))[:FIRST]
+    if FEWER < chart.columns.shape[1] <= FEW and len(cases) > 2 * FIRST:
+        rough = replace(options, tolerance=min(ROUGH * options.tolerance, 0.1))
+        # that they may not get there is no matter: all go on from where they are
+        there, _ = _descend(_first(model, chart, few), rough, track)
+        here = Objective(model, chart, cases, there.xi)
+    else:
+        here = _first(model, chart, cases)
+    here, why_not = _descend(here, options, track)
+    if why_not:
+        raise EstimateError(why_not)
+    stats = MapStats(
+        "map",
+        "converged",
+        len(track.path) - 1,
+        chart.size,
+        here.readings,
+        len(cases),
+        here.cost,
+        here.misfit,
+        tuple(track.path),
+        time.perf_counter() - track.began,
+    )
+    return here, stats
+
+
+class _Track:
+    """The path so far, told to the caller."""
+
+    def __init__(self, options: Options) -> None:
+        self.path: list[Step] = []
+        self.began = time.perf_counter()
+        self.progress = options.progress
+
+    def add(self, cost: float, gradient: float, how: tuple[float, float, int]) -> None:
+        seconds = time.perf_counter() - self.began
+        self.path.append(Step(len(self.path), cost, gradient, *how, seconds))
+        if self.progress is not None:
+            self.progress(self.path[-1])
+
+
+def _descend(here: Objective, options: Options, track: _Track) -> tuple[Objective, str]:
+    """Return the objective at the minimum found from here, and why it is none, or ""."""
     memory = Memory()
     change, share, inner = 0.0, 1.0, 0
-
-    def tell(gradient: float) -> None:
-        seconds = time.perf_counter() - began
-        step = Step(len(path), here.cost, gradient, change, share, inner, seconds)
-        path.append(step)
-        if options.progress is not None:
-            options.progress(step)
-
-    readings = sum(int((c.displacement_weight > 0).sum()) + len(c.force) for c in cases)
     temper = np.inf
-    while True:
-        temper = max(1.0, min(temper / COOLING, 2 * here.misfit / readings))
+    for count in range(options.iterations + 1):
+        temper = max(1.0, min(temper / COOLING, 2 * here.misfit / here.readings))
         here.temper = temper
         g = here.gradient()
         size = float(np.linalg.norm(g))
-        tell(size)
-        enough = 2 * options.tolerance * max(here.cost, readings / 2)
+        track.add(here.cost, size, (change, share, inner))
+        enough = 2 * options.tolerance * max(here.cost, here.readings / 2)
         dear = DEAR * enough / 2
         direction, inner = direction_of(here, g, memory, options.inner, dear)
         promise = -float(g @ direction)  # twice the decrease of the quadratic model
@@ -189,15 +232,14 @@ def solve(
             direction, more = direction_of(here, g, memory, options.inner, dear, GAIN / 10)
             promise, inner = -float(g @ direction), inner + more
         if temper == 1 and promise <= enough:
-            break
-        if len(path) > options.iterations:
-            raise EstimateError(
+            return here, ""
+        if count == options.iterations:
+            return here, (
                 f"map: not converged after {options.iterations} iterations; the next step "
                 f"promises {promise / 2 / here.cost:.1e} of the cost, wanted "
                 f"{options.tolerance:.0e}. Raise iterations=, or check the noise given."
             )
-        log = chart.log(direction)
-        far = float(np.abs(log).max())
+        far = float(np.abs(here.chart.log(direction)).max())
         there, share, bent = _search(
             here,
             direction,
@@ -208,7 +250,7 @@ def solve(
             )[0],
         )
         if there is None:
-            raise EstimateError(
+            return here, (
                 "map: no step lowers the cost, though the gradient is "
                 f"{size:.2g}. The readings may be exact beyond rounding: give noise."
             )
@@ -216,36 +258,26 @@ def solve(
         if change > NEAR or bent:
             memory.clear()
         here = there
-    stats = MapStats(
-        "map",
-        "converged",
-        len(path) - 1,
-        chart.size,
-        sum(int((c.displacement_weight > 0).sum()) + len(c.force) for c in cases),
-        len(cases),
-        here.cost,
-        here.misfit,
-        tuple(path),
-        time.perf_counter() - began,
-    )
-    return here, stats
+    raise AssertionError("the last pass returns")
 
 
-def _start(model: ElasticModel, chart: Chart, cases: Sequence[Case]) -> Array:
-    """Return xi of the prior's moduli times the one factor that fits the forces best.
+def _first(model: ElasticModel, chart: Chart, cases: Sequence[Case]) -> Objective:
+    """Return the objective at the prior's moduli times what fits the forces best.
 
-    Without loads the field does not depend on it, and forces are proportional to it.
+    Without loads the field does not depend on that factor; forces are proportional to it.
     """
-    none = np.zeros(chart.size)
+    none = Objective(model, chart, cases, np.zeros(chart.size))
     if any(c.load.any() for c in cases):
         return none
-    response = Objective(model, chart, cases, none).response
     above = below = 0.0
-    for c, f in zip(cases, response.force, strict=True):
+    for c, f in zip(cases, none.response.force, strict=True):
         model_f = c.feel @ f
         above += float(model_f @ (c.force_weight * c.force))
         below += float(model_f @ (c.force_weight * model_f))
-    return chart.start(float(np.log(above / below))) if above > 0 and below > 0 else none
+    if not (above > 0 and below > 0):
+        return none
+    xi = chart.start(float(np.log(above / below)))
+    return Objective(model, chart, cases, xi, none.response)
 
 
 def _search(

@@ -29,7 +29,7 @@ from plantsim.estimation.cases import Case
 from plantsim.solve.stats import norm
 
 ACCEPTED = 1e-8  # backward error of an equilibrium
-MANY = 60  # columns that are solved for at a time
+MANY = 96  # columns that are solved for at a time
 
 
 class Response(ABC):

@@ -130,12 +130,14 @@ class DirectFactor:
             u = self.lu.solve(f)
         else:
             u = np.empty(f.shape, order="F")
+            # as wide as another: ten are five and five, for two threads
+            width = max(1, -(-f.shape[1] // max(1, -(-f.shape[1] // STRIP))))
 
             def strip(first: int) -> None:
-                part = slice(first, first + STRIP)
+                part = slice(first, first + width)
                 u[:, part] = self.lu.solve(np.asfortranarray(f[:, part]))
 
-            starts = range(0, f.shape[1], STRIP)
+            starts = range(0, f.shape[1], width)
             few = len(starts) < (2 if len(f) >= LARGE else MANY)
             if few or isinstance(self.lu, _Pardiso):
                 for first in starts:
