@@ -7,7 +7,7 @@ import pytest
 
 import plantsim as ps
 from plantsim.estimation.cases import gather
-from plantsim.estimation.output_error import Objective
+from plantsim.estimation.output_error import Objective, _first
 from plantsim.estimation.posterior import posterior
 
 SKELETON = ps.fork(0.3, 0.02)
@@ -403,3 +403,48 @@ def test_hdf5_is_plain(tmp_path, touches):
         file["points"] = np.zeros(3)
     with pytest.raises(ps.FileError, match="not a file of observations"):
         ps.read_observations(tmp_path / "other.h5")
+
+
+def _slabs(mesh, prior, **noise):
+    """Forty slabs: a Hessian now and then, CG in between, three touches first."""
+    z = mesh.points[mesh.tets].mean(axis=1)[:, 2]
+    slab = np.argsort(np.argsort(z)) * 40 // len(z)
+    log = 0.3 * np.random.default_rng(4).normal(size=40)[slab]
+    stiffer = ps.Material(6e9 * np.exp(log), 0.35, 900.0)
+    truth = prior.with_material(stiffer)
+    rng = np.random.default_rng(8)
+    touches = ps.sample_touches(truth, 8, rng=2)
+    seen = [ps.observe(truth, t.last, **noise, rng=rng) for t in touches]
+    return slab, truth, seen
+
+
+def test_a_few_touches_lead_the_way_and_all_decide(mesh, prior):
+    slab, _, seen = _slabs(mesh, prior, displacement_noise=1e-3, force_noise=2e4)
+    kind = ps.per_region(slab, moduli="young")
+    found = ps.estimate(prior, seen, parameters=kind, tolerance=1e-7)
+    assert found.stats.cases == 8
+    # where all touches begin, after three, most is explained
+    path = found.stats.path
+    start, begin = (s.iteration for s in path if s.change == 0)
+    assert start == 0
+    assert 2 < begin
+    chart, cases = kind.chart(prior), gather(prior, seen)
+    assert _first(prior, chart, cases).cost > 4 * found.stats.cost
+    assert path[begin].cost < 1.5 * found.stats.cost
+    here = Objective(prior, chart, cases, found._objective.xi)
+    assert here.cost == pytest.approx(found.stats.cost, rel=1e-9)
+    g, H = here.gradient(), here.dense_hessian + np.eye(chart.size)
+    assert g @ np.linalg.solve(H, g) < 1e-6 * here.cost
+    assert 2 * here.misfit == pytest.approx(found.stats.readings, rel=0.1)
+
+
+def test_touches_that_the_model_cannot_explain_do_not_lead(mesh, truth, prior):
+    # slabs across a fork of three limbs, noise of a hundredth of what they leave over
+    slab, _, _ = _slabs(mesh, prior)
+    rng = np.random.default_rng(8)
+    seen = [
+        ps.observe(truth, t.last, displacement_noise=1e-4, force_noise=20.0, rng=rng)
+        for t in ps.sample_touches(truth, 8, rng=2)
+    ]
+    found = ps.estimate(prior, seen, parameters=ps.per_region(slab, moduli="young"))
+    assert 2 * found.stats.misfit > 1e3 * found.stats.readings

@@ -37,6 +37,8 @@ COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 DEAR = 25.0  # times what is enough to stop at: that rule counts no larger gains
 FIRST = 3  # touches that lead the way
 ROUGH = 10.0  # times the tolerance at which they stop
+BRIEF = 12  # iterations that they have
+EXPLAINED = 4.0  # misfit over noise, squared, above which they would mislead
 STRAIGHT = 0.5  # of the forecast decrease: less, and a step is bent
 
 
@@ -168,17 +170,25 @@ def solve(
     """Return the objective at its minimum, and how that was found.
 
     Where the Hessian is made whole, and not at every iteration, a few touches lead the way:
-    their minimum, roughly, is where all begin.
+    their minimum, roughly, is where all begin, if it explains the few. Where it does not,
+    the model errs, and fits three touches by moduli far off.
     """
     track = _Track(options)
-    few = sorted(cases, key=lambda c: not len(c.force))[:FIRST]
+    start = None
     if FEWER < chart.columns.shape[1] <= FEW and len(cases) > 2 * FIRST:
-        rough = replace(options, tolerance=min(ROUGH * options.tolerance, 0.1))
-        # that they may not get there is no matter: all go on from where they are
-        there, _ = _descend(_first(model, chart, few), rough, track)
-        here = Objective(model, chart, cases, there.xi)
-    else:
+        few = sorted(cases, key=lambda c: not len(c.force))[:FIRST]
+        rough = replace(
+            options,
+            tolerance=min(ROUGH * options.tolerance, 0.1),
+            iterations=min(BRIEF, options.iterations),
+        )
+        there, why_not = _descend(_first(model, chart, few), rough, track)
+        if not why_not and 2 * there.misfit < EXPLAINED * there.readings:
+            start = there.xi
+    if start is None:
         here = _first(model, chart, cases)
+    else:
+        here = Objective(model, chart, cases, start)
     here, why_not = _descend(here, options, track)
     if why_not:
         raise EstimateError(why_not)
