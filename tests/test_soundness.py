@@ -1,5 +1,6 @@
 """Meshes made bad on purpose: every guarantee has to see its own fault."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,10 @@ import pytest
 
 import plantsim as ps
 from plantsim.mesh.topology import topology
+from plantsim.solid import soundness
 from plantsim.solid.soundness import check_sound
+
+tetrahedralize = importlib.import_module("plantsim.solid.tetrahedralize")
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +132,24 @@ def test_a_mesh_without_a_foot_is_refused(solid, fork):
 def test_a_swollen_mesh_is_seen(solid, fork):
     with pytest.raises(ps.MeshError, match=r"volume is \+1\d.* at limb"):
         check_sound(solid, replace(fork, points=fork.points * [1.06, 1.06, 1.0]))
+
+
+def test_a_coarse_mesh_of_order_1_is_refused_by_size_and_order(
+    solid, fork, plain, monkeypatch
+):
+    wide = [1.06, 1.06, 1.0]
+    with pytest.raises(ps.MeshError, match="give a smaller size, or order=2"):
+        check_sound(solid, replace(plain, points=plain.points * wide))
+    with pytest.raises(ps.MeshError, match="Give a smaller size, or move") as curved:
+        check_sound(solid, replace(fork, points=fork.points * wide))
+    assert "order=2" not in str(curved.value)
+
+    # whatever the last attempt said, what was asked for stands beside it
+    monkeypatch.setattr(soundness, "VOLUME", 1e-9)
+    monkeypatch.setattr(tetrahedralize, "LADDER", tetrahedralize.LADDER[:1])
+    monkeypatch.setattr(tetrahedralize.wild, "installed", lambda: False)
+    with pytest.raises(ps.MeshError, match=r"at order 1 and size 1\.2; .*order=2"):
+        ps.tetrahedralize(solid, 1.2, order=1)
 
 
 def test_folds_inversions_and_orphans_never_get_as_far(fork):

@@ -63,10 +63,15 @@ def check_sound(solid: Solid, mesh: TetMesh) -> int:
         mine = np.bincount(np.asarray(mesh.region), mesh.volumes, len(solid.tubes))
         wanted = np.array([t.volume for t in solid.tubes]) - solid.buried
         limb = solid.tubes[int(np.abs(mine - wanted).argmax())].name
+        act = "Give a smaller size, or move limbs that run along it away."
+        if mesh.tets.shape[1] == 4:
+            act = (
+                "Order 1 follows a flare or a bend by straight edges: give a smaller size, "
+                "or order=2."
+            )
         raise MeshError(
             f"the mesh's volume is {100 * off:+.1f} % off the union of its limbs (wanted "
-            f"{100 * VOLUME:.0f} %), most of it at limb {limb}. Move limbs that run along "
-            "it away."
+            f"{100 * VOLUME:.0f} %), most of it at limb {limb}. {act}"
         )
     return found.genus
 

@@ -108,7 +108,8 @@ def tetrahedralize(
             note["failure"] = str(why)
             log.info("meshing attempt %d failed: %s", len(attempts), why)
     raise MeshError(
-        f"no attempt of {len(attempts)} gave a sound mesh of {len(geometry.tubes)} limbs; "
+        f"no attempt of {len(attempts)} gave a sound mesh of {len(geometry.tubes)} limbs "
+        f"at order {order} and size {2 * np.pi / AROUND if size is None else size:.2g}; "
         f"the last said: {attempts[-1]['failure']} Prune limbs that graze others, or try "
         "another size."
     )
