@@ -4,6 +4,7 @@
     python benchmarks/meshing.py peers --limbs 30 --count 5
     python benchmarks/meshing.py species --kernel union --seeds 25 [--only NAME]
     python benchmarks/meshing.py agree [--only NAME]
+    python benchmarks/meshing.py refine --only strawberry
     python benchmarks/meshing.py pool --count 50
     python benchmarks/meshing.py repeat --seeds 5 [--only NAME]
     python benchmarks/meshing.py table
@@ -122,23 +123,41 @@ def apart(skeleton: ps.Skeleton) -> dict[str, Any]:
     The plant bends by its weight and half of it sideways.
     """
     solid = ps.sweep(skeleton)
-    ends = np.array([tube.axis(1.0) for tube in solid.tubes])
-    volume, moved = [], []
-    for kernel in ("occ", "union"):
-        mesh = ps.tetrahedralize(solid, kernel=kernel)
-        model = ps.ElasticModel(mesh, ps.Material(6e9, 0.3, 800.0))
-        u = model.solve(ps.gravity((5.0, 0, -9.81))).displacement
-        away = np.linalg.norm(mesh.points - ends[:, None], axis=2)
-        volume.append(mesh.volume)
-        moved.append(u[away.argmin(axis=1)])
-    size = np.linalg.norm(moved, axis=2)
+    got = [bent(solid, kernel) for kernel in ("occ", "union")]
+    volume, size = zip(*got, strict=True)
     off = size[1] / size[0] - 1
     return {
-        "limbs": len(ends),
+        "limbs": len(solid.tubes),
         "volume": round(volume[1] / volume[0] - 1, 5),
         "tip": round(float(off[size[0].argmax()]), 5),
         "worst_tip": round(float(off[np.abs(off).argmax()]), 5),
     }
+
+
+def bent(
+    solid: ps.Solid, kernel: Any, size: float | None = None
+) -> tuple[float, np.ndarray]:
+    """Return a mesh's volume [m^3] and how far the tip of every limb moves [m]."""
+    mesh = ps.tetrahedralize(solid, size, kernel=kernel)
+    model = ps.ElasticModel(mesh, ps.Material(6e9, 0.3, 800.0))
+    u = model.solve(ps.gravity((5.0, 0, -9.81))).displacement
+    ends = np.array([tube.axis(1.0) for tube in solid.tubes])
+    away = np.linalg.norm(mesh.points - ends[:, None], axis=2)
+    return mesh.volume, np.linalg.norm(u[away.argmin(axis=1)], axis=1)
+
+
+def refine(name: str) -> None:
+    """Print what the motions of the tips that `agree` compares go to with smaller sizes."""
+    solid = ps.sweep(ps.weber_penn(name, rng=FIRST).pruned(max_limbs=12))
+    print("| size | kernel | volume, cm3 | motion of the tips, um |\n|---|---|---|---|")
+    for size in (None, 0.63, 0.45):
+        for kernel in ("occ", "union"):
+            volume, moved = bent(solid, kernel, size)
+            tips = " ".join(f"{1e6 * m:.1f}" for m in moved)
+            print(
+                f"| {size or 'default'} | {kernel} | {1e6 * volume:.3f} | {tips} |",
+                flush=True,
+            )
 
 
 def repeat(log: Log, seeds: int, only: str) -> None:
@@ -311,7 +330,7 @@ def ratios(log: Log) -> None:
 
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    sections = ("trees", "peers", "species", "agree", "pool", "repeat", "table")
+    sections = ("trees", "peers", "species", "agree", "refine", "pool", "repeat", "table")
     options.add_argument("section", choices=sections)
     options.add_argument("--kernel", choices=("occ", "union"), default="union")
     options.add_argument("--limbs", type=int, default=100)
@@ -322,6 +341,8 @@ def main() -> None:
     given = options.parse_args()
     if given.section == "pool":
         return pool(given.kernel, given.count)
+    if given.section == "refine":
+        return refine(given.only or "strawberry")
     log = Log(given.log)
     if given.section == "trees":
         trees(log, given.kernel, given.limbs, given.count)

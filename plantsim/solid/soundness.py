@@ -66,8 +66,8 @@ def check_sound(solid: Solid, mesh: TetMesh) -> int:
         act = "Give a smaller size, or move limbs that run along it away."
         if mesh.tets.shape[1] == 4:
             act = (
-                "Order 1 follows a flare or a bend by straight edges: give a smaller size, "
-                "or order=2."
+                "Order 1 takes wider rings to make up for straight edges, too wide at a "
+                "flare and at joints with thin limbs: give a smaller size, or order=2."
             )
         raise MeshError(
             f"the mesh's volume is {100 * off:+.1f} % off the union of its limbs (wanted "
