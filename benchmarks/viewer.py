@@ -1,27 +1,55 @@
 """What a frame of the live viewer costs on the side that computes.
 
-    python benchmarks/viewer.py [--quick]
+    python benchmarks/viewer.py [--quick] [--browser]
 
 For plants of some sizes: processor time to take hold of six vertices, and for a frame of a
 drag (surface, force, and all messages made for the page, no page open), as a median; the
 frames a second that this would allow a core; and the same as a ratio to one fresh sparse
 solve, which is the frame of the paper's programme. Of corotational kinematics a frame is
 the tangent's answer; `balance` is the processor time of an equilibrium, solved for beside
-the frames. What a browser can draw is not measured.
+the frames.
+
+`--browser`: what a page shows. A headless Chromium opens the page, takes the hand's arrow
+with the mouse and shakes it for five seconds; of the page's pictures those are counted for
+which new vertices of the plant went to the graphics card, by hooks on WebGL. Without a
+graphics card SwiftShader draws, by the processor that computes too.
 """
 
 import argparse
+import shutil
 import time
 from dataclasses import replace
 
 import numpy as np
 from scipy.sparse.linalg import spsolve
+from scipy.spatial.transform import Rotation
 
 import plantsim as ps
 from plantsim.view.app import Viewer
 from plantsim.view.touching import Touching
 
 FRAMES = 60
+SECONDS = 5.0  # of a drag in the browser
+FLAGS = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
+COUNT = """
+window.shown = {pictures: 0, updates: 0, least: 1e9, fresh: false};
+for (const name of ["bufferData", "bufferSubData"]) {
+  const old = WebGL2RenderingContext.prototype[name];
+  WebGL2RenderingContext.prototype[name] = function (...given) {
+    const data = given.find((x) => x && x.byteLength);
+    if (given[0] === this.ARRAY_BUFFER && data && data.byteLength >= shown.least)
+      shown.fresh = true;
+    return old.apply(this, given);
+  };
+}
+const tick = () => {
+  shown.pictures += 1;
+  shown.updates += shown.fresh;
+  shown.fresh = false;
+  requestAnimationFrame(tick);
+};
+requestAnimationFrame(tick);
+"""
 
 
 def plants(quick: bool) -> list[tuple[str, ps.TetMesh]]:
@@ -86,6 +114,78 @@ def measure(mesh: ps.TetMesh) -> dict[str, float]:
     return {"hold": hold, "frame": float(np.median(seconds)), "fresh": fresh}
 
 
+def pixel(page, viewer: Viewer, point: np.ndarray) -> np.ndarray:
+    """Return where a point in space is on the page, by the camera that it tells of."""
+    camera = max(viewer.server.get_clients().items())[1].camera
+    view = Rotation.from_quat(np.asarray(camera.wxyz)[[1, 2, 3, 0]])  # x right, z ahead
+    x, y, z = view.inv().apply(np.asarray(point) - camera.position)
+    box = page.locator("canvas").first.bounding_box()
+    scale = box["height"] / (2 * np.tan(camera.fov / 2))
+    middle = np.array((box["x"] + box["width"] / 2, box["y"] + box["height"] / 2))
+    return middle + scale * np.array((x, y)) / z
+
+
+def shaken(page, viewer: Viewer, mesh: ps.TetMesh) -> dict[str, float]:
+    """Drag the hand up and down by its upright arrow; return what came a second."""
+    viewer.hold(ps.nearest_vertices(mesh, mesh.points[mesh.points[:, 2].argmax()], count=6))
+    viewer.settle()
+    page.wait_for_timeout(3000)
+    arrow = viewer.frame.centre + np.array((0, 0, 0.7 * 0.14 * viewer.span))
+    start = pixel(page, viewer, arrow)
+    end = pixel(page, viewer, arrow - np.array((0, 0, 0.05 * viewer.span)))
+    page.mouse.move(*(start + 1))
+    page.mouse.move(*start)
+    page.wait_for_timeout(2000)  # until a picture shows that the arrow is met
+    page.mouse.down()
+    least = 11 * len(np.unique(mesh.surface[:, :3]))  # bytes; three floats a vertex are 12
+    page.evaluate(f"Object.assign(shown, {{pictures: 0, updates: 0, least: {least}}})")
+    count, began, moves = viewer.frames, time.perf_counter(), 0
+    while time.perf_counter() - began < SECONDS:
+        share = 0.5 - 0.5 * np.cos(2 * np.pi * (time.perf_counter() - began))
+        page.mouse.move(*(start + share * (end - start)))
+        moves += 1
+    shown = page.evaluate("({...shown})")
+    seconds = time.perf_counter() - began
+    page.mouse.up()
+    return {
+        "moves": moves / seconds,
+        "computed": (viewer.frames - count) / seconds,
+        "pictures": shown["pictures"] / seconds,
+        "updates": shown["updates"] / seconds,
+    }
+
+
+def browser(meshes: list[tuple[str, ps.TetMesh]]) -> None:
+    """Print what a headless Chromium shows of a drag."""
+    from playwright.sync_api import sync_playwright
+
+    found = shutil.which("chromium") or shutil.which("chromium-browser")
+    print(
+        "\n| plant, on the page | moves of the mouse/s | computed/s | pictures/s | ", end=""
+    )
+    print("of these with the plant moved/s |\n|---|---|---|---|---|")
+    with sync_playwright() as p:
+        chromium = p.chromium.launch(executable_path=found, args=FLAGS.split())
+        for name, mesh in meshes:
+            with Viewer(mesh, port=0) as viewer:
+                page = chromium.new_page(viewport={"width": 900, "height": 600})
+                page.set_default_timeout(120_000)
+                page.add_init_script(COUNT)
+                page.goto(viewer.url)
+                page.get_by_text("Let go").wait_for()
+                hide = ".mantine-Notifications-root { display: none }"  # lies on the plant
+                page.add_style_tag(content=hide)
+                page.wait_for_timeout(3000)
+                m = shaken(page, viewer, mesh)
+                page.close()
+            print(
+                f"| {name} | {m['moves']:.0f} | {m['computed']:.1f} | "
+                f"{m['pictures']:.1f} | {m['updates']:.1f} |",
+                flush=True,
+            )
+        chromium.close()
+
+
 def main(quick: bool) -> None:
     meshes = plants(quick)
     print("| plant | unknowns | hold, s | frame, ms | frames/s | fresh solve / frame |")
@@ -110,4 +210,9 @@ def main(quick: bool) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true")
-    main(parser.parse_args().quick)
+    parser.add_argument("--browser", action="store_true", help="what a page shows")
+    options = parser.parse_args()
+    if options.browser:
+        browser(plants(options.quick))
+    else:
+        main(options.quick)

@@ -95,6 +95,19 @@ def test_the_unloaded_plant_sags_to_the_shape_seen(kinematics):
         model.unloaded(ps.move([5], (0, 0, 1)))
 
 
+@pytest.mark.filterwarnings("ignore::plantsim.StoppedWarning")
+def test_a_plant_too_soft_for_any_unloaded_shape_is_told_so():
+    mesh = ps.tetrahedralize(ps.sweep(ps.straight(0.5, 0.01)), 1.4, order=1)
+    model = ps.ElasticModel(mesh, ps.Material(3e4, 0.3, 900), kinematics="corotational")
+    with pytest.raises(ps.SolverError, match=r"carries .* % of the load"):
+        model.unloaded(ps.gravity((0, -9.81, 0)))
+    firmer = ps.ElasticModel(mesh, ps.Material(3e6, 0.3, 900), kinematics="corotational")
+    loads = ps.gravity((0, -9.81, 0))
+    free = firmer.unloaded(loads)  # sags by a third of its length
+    again = free.mesh.points + free.settled(loads).displacement
+    assert np.abs(again - mesh.points).max() < 2e-6
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_an_apple_tree_with_fruit_is_not_bent_twice(order):
     tree = ps.weber_penn("apple", rng=7, levels=2).pruned(min_radius=0.012)

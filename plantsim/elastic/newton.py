@@ -150,7 +150,8 @@ class _Task:
             before = start.force.copy()  # of vertices let go now: fades out
             before[free] -= acting.following_forces(model.mesh, begin)[free]
             floor = float(norm(start.force.ravel()))
-            near = start.near if start.model is model else None
+            # of another material or rest shape too: its order and CG on its factor serve
+            near = start.near
             if near is not None and not np.array_equal(near.free, free):
                 near = None
         return cls(
