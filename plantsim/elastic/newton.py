@@ -21,7 +21,7 @@ from plantsim.arrays import Array
 from plantsim.elastic.deformed import Deformed
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Load
-from plantsim.elastic.statics import Acting, gathered, motion
+from plantsim.elastic.statics import Acting, gathered, motion, turning
 from plantsim.errors import ModelError, SolverError, StoppedWarning
 from plantsim.solve.cg import refined
 from plantsim.solve.solver import Factor, choose
@@ -349,19 +349,8 @@ class _Task:
         u, x = self.last[0], self.model.mesh.points
         n, some = len(x), []
         for ids, f in self.acting.following:
-            turn, _, _ = motion(x[ids], x[ids] + u[ids])
-            turned = Rotation.from_rotvec(turn)
-            now = self.share * turned.apply(f.copy())
-            # the best turn's own derivative, of a patch that is strained too: arms q at
-            # rest, turned, and b now; (sum q.b - sum q b^T) w = sum q x du
-            arm, at = turned.apply(x[ids] - x[ids].mean(axis=0)), x[ids] + u[ids]
-            mixed = arm.T @ (at - at.mean(axis=0))
-            inertia = np.trace(mixed) * np.eye(3) - (mixed + mixed.T) / 2
             A, T = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
-            A[ids] = np.cross(np.eye(3)[None], now[:, None]).transpose(0, 2, 1)
-            # columns by the component of du
-            each = np.cross(arm[:, None], np.eye(3)[None])
-            T[ids] = each @ np.linalg.inv(inertia)
+            A[ids], T[ids] = turning(x[ids], x[ids] + u[ids], self.share * f)
             some.append((A[self.free].reshape(-1, 3), T[self.free].reshape(-1, 3)))
         A, T = (np.hstack([pair[i] for pair in some]) for i in (0, 1))
         solved = near.factor(b)[0]

@@ -59,6 +59,22 @@ def motion(one: Array, other: Array) -> tuple[Array, Array, Array]:
     return Rotation.from_matrix(U @ Vt).as_rotvec(), at, to
 
 
+def turning(one: Array, other: Array, force: Array) -> tuple[Array, Array]:
+    """Return what a patch's small turn does to forces that follow it, and what turns it.
+
+    (k, 3, 3) each: forces by the turn's component; the turn by each vertex's motion, its
+    components in rows. The best turn's own derivative, of a patch that is strained too:
+    with arms q at rest, turned, and b now, (sum q.b - sum q b^T) w = sum q x du.
+    """
+    turn, at, to = motion(one, other)
+    turned = Rotation.from_rotvec(turn)
+    now, arm = turned.apply(force.copy()), turned.apply(one - at)
+    mixed = arm.T @ (other - to)
+    inertia = np.trace(mixed) * np.eye(3) - (mixed + mixed.T) / 2
+    effect = np.cross(np.eye(3)[None], now[:, None]).transpose(0, 2, 1)
+    return effect, np.cross(arm[:, None], np.eye(3)[None]) @ np.linalg.inv(inertia)
+
+
 def gathered(model: "ElasticModel", loads: Iterable[Load]) -> Acting:
     """Return the loads on the mesh's vertices; ModelError where they contradict."""
     mesh, fixed = model.mesh, model.fixed_ids
