@@ -70,6 +70,7 @@ def fresh_heap() -> Iterator[None]:
     finally:
         for place in kept:
             libc.free(place)
+        libc.malloc_trim(0)  # pages of the holes go back, or every mesh leaves some
         # where glibc's own thresholds end that move with what was freed
         libc.mallopt(MMAP_THRESHOLD, LARGEST)
         libc.mallopt(TRIM_THRESHOLD, 2 * LARGEST)
