@@ -390,7 +390,8 @@ def test_summary_is_one_page_with_its_pictures(made, tmp_path):
     assert "5 of 5" in page
     assert "maize" in page
     assert page.count("data:image/png;base64,iVBOR") == 2
-    assert "http" not in page  # whole in itself
+    words = re.sub(r'data:image/[^"]*', "", page)  # whose base64 may spell anything
+    assert "http" not in words  # whole in itself
 
 
 def test_the_adapter_of_the_docs_feeds_a_training_loop(made):
