@@ -251,7 +251,8 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
     edge = np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=2)
     local = np.full(len(points), np.inf)
     np.minimum.at(local, faces.ravel(), edge.ravel())
-    for seed in range(SHAKES if algorithm == HXT else 1):
+    # where nothing is shaken, HXT would do the same each time
+    for seed in range(SHAKES if algorithm == HXT and not flat.all() else 1):
         shake = np.random.default_rng(seed).uniform(-SHAKE, SHAKE, points.shape)
         shaken = points + np.where(flat, 0, local)[:, None] * shake
         filled = _filled(shaken, faces, algorithm)
