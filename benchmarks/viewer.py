@@ -1,6 +1,6 @@
 """What a frame of the live viewer costs on the side that computes.
 
-    python benchmarks/viewer.py [--quick] [--browser]
+    python benchmarks/viewer.py [--quick] [--browser] [--size 900x600]
 
 For plants of some sizes: processor time to take hold of six vertices, and for a frame of a
 drag (surface, force, and all messages made for the page, no page open), as a median; the
@@ -137,7 +137,7 @@ def shaken(page, viewer: Viewer, mesh: ps.TetMesh) -> dict[str, float]:
     page.mouse.move(*start)
     page.wait_for_timeout(2000)  # until a picture shows that the arrow is met
     page.mouse.down()
-    least = 11 * len(np.unique(mesh.surface[:, :3]))  # bytes; three floats a vertex are 12
+    least = 11 * viewer.skin.count  # bytes; three floats a vertex are 12
     page.evaluate(f"Object.assign(shown, {{pictures: 0, updates: 0, least: {least}}})")
     count, began, moves = viewer.frames, time.perf_counter(), 0
     while time.perf_counter() - began < SECONDS:
@@ -155,7 +155,7 @@ def shaken(page, viewer: Viewer, mesh: ps.TetMesh) -> dict[str, float]:
     }
 
 
-def browser(meshes: list[tuple[str, ps.TetMesh]]) -> None:
+def browser(meshes: list[tuple[str, ps.TetMesh]], width: int, height: int) -> None:
     """Print what a headless Chromium shows of a drag."""
     from playwright.sync_api import sync_playwright
 
@@ -168,7 +168,7 @@ def browser(meshes: list[tuple[str, ps.TetMesh]]) -> None:
         chromium = p.chromium.launch(executable_path=found, args=FLAGS.split())
         for name, mesh in meshes:
             with Viewer(mesh, port=0) as viewer:
-                page = chromium.new_page(viewport={"width": 900, "height": 600})
+                page = chromium.new_page(viewport={"width": width, "height": height})
                 page.set_default_timeout(120_000)
                 page.add_init_script(COUNT)
                 page.goto(viewer.url)
@@ -211,8 +211,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--browser", action="store_true", help="what a page shows")
+    parser.add_argument("--size", default="900x600", help="of the page [pixels]")
     options = parser.parse_args()
     if options.browser:
-        browser(plants(options.quick))
+        browser(plants(options.quick), *map(int, options.size.split("x")))
     else:
         main(options.quick)

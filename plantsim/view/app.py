@@ -26,6 +26,7 @@ from plantsim.errors import EstimateError, PlantsimError
 from plantsim.estimation.observation import Observation
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.plant.hung import Masses
+from plantsim.view.hand import Goal, steps
 from plantsim.view.panel import Panel
 from plantsim.view.skin import Skin
 from plantsim.view.style import CONTACT, MOVED, plain, rgb
@@ -76,7 +77,8 @@ class Viewer:
         self.frame_seconds = 0.0  # that the last frame took to compute and send
         self.frame: Frame | None = None
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
-        self._goal: tuple[Array, Any] | None = None
+        self._goal: Goal | None = None
+        self._heard = 0.0  # when the page last told of a drag
         self._burden: Burden | None = None
         self._balancing: Touching | None = None  # for which an equilibrium is solved for
         self._tries = 0
@@ -84,7 +86,7 @@ class Viewer:
         self._trace: list[tuple[float, float]] = []
         self._spoke = self._typical = 0.0
         self._told = True
-        self._start = self._shift = np.zeros(3)
+        self._start, self._met = np.zeros(3), Goal(np.zeros(3))
         self._gizmo: Any = None
         with contextlib.redirect_stdout(io.StringIO()):  # its own banner
             self.server = Local(host=host, port=port, label="plantsim", verbose=False)
@@ -166,6 +168,10 @@ class Viewer:
         self._drop_gizmo()
         scene = self.server.scene
         scene.reset()
+        # where no graphics card draws, an environment's light takes a third of the pictures
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(cast_shadow=False)  # a shadow, nine in ten
+        scene.add_light_hemisphere("/sky", ground_color=(90, 90, 90), intensity=2.4)
         scene.add_grid(
             "/ground",
             width=2 * self.span,
@@ -209,11 +215,7 @@ class Viewer:
 
         `turn`: a rotation vector [rad] that is held; None: it turns as the plant likes.
         """
-        with self._lock:
-            waiting = self._goal is not None
-            self._goal = np.asarray(shift, dtype=float), turn
-        if not waiting:
-            self._jobs.put(self._follow)
+        self._lead(Goal(np.asarray(shift, dtype=float), turn))
 
     def let_go(self) -> None:
         """Open the hand."""
@@ -237,6 +239,13 @@ class Viewer:
 
     # the thread
 
+    def _lead(self, goal: Goal) -> None:
+        with self._lock:
+            waiting = self._goal is not None
+            self._goal = goal
+        if not waiting:
+            self._jobs.put(self._follow)
+
     def _work(self) -> None:
         while True:
             try:
@@ -255,11 +264,14 @@ class Viewer:
     def _follow(self) -> None:
         with self._lock:
             goal, self._goal = self._goal, None
-        if goal is None or not len(self.touching.ids):
-            return
+            if goal is None or not len(self.touching.ids):
+                return
+            self._goal = goal.rest()
+            if self._goal is not None:
+                self._jobs.put(self._follow)
         began = time.perf_counter()
-        self._shift, self._tries = goal[0], 0
-        self._draw(self.touching.drag(*goal))
+        self._met, self._tries = goal.first(self._met), 0
+        self._draw(self.touching.drag(self._met.shift, self._met.turn))
         self.frame_seconds = time.perf_counter() - began
         self.frames += 1
         self._balance()
@@ -275,7 +287,7 @@ class Viewer:
         frame = self.touching.bear(burden)
         if self._gizmo is not None:
             self._gizmo.position = tuple(frame.centre)
-            self._start = frame.centre - self._shift
+            self._start = frame.centre - self._met.shift
         self._trace.clear()
         self._draw(frame)
         self._balance()
@@ -315,7 +327,7 @@ class Viewer:
         frame = self.touching.hold(ids)
         self._drop_gizmo()
         self._trace.clear()
-        self._start, self._shift, self._typical = frame.centre, np.zeros(3), 0.0
+        self._start, self._met, self._typical = frame.centre, Goal(np.zeros(3)), 0.0
         held = self.panel.turning  # whether the hand's direction is
         self._gizmo = self.server.scene.add_transform_controls(
             "/hand",
@@ -330,7 +342,10 @@ class Viewer:
         async def _(event: Any) -> None:  # on the event loop, so in order
             at, wxyz = event.target.position, event.target.wxyz
             turn = Rotation.from_quat(wxyz[[1, 2, 3, 0]]).as_rotvec()
-            self.drag(at - self._start, turn if held else None)
+            now = time.perf_counter()
+            count = steps(now - self._heard, max(FASTEST, self.frame_seconds))
+            self._heard = now
+            self._lead(Goal(at - self._start, turn if held else None, count))
 
         self._draw(frame)
 
@@ -376,7 +391,6 @@ class Viewer:
                 tip = frame.centre + way * self._long(newtons, frame.travel)
                 self._arrow.points = np.array([[frame.centre, tip]])
                 self._label.position = tuple(tip)
-                self._label.text = f"{plain(newtons)} N"
         if held and frame.exact:
             self._trace.append((1e3 * frame.travel, newtons))
         self._told = False
@@ -395,6 +409,7 @@ class Viewer:
     def _tell(self, rotation: float | None) -> None:
         assert self.frame is not None
         self.skin.colour_by(self.panel.colour, self)
+        self._label.text = f"{plain(float(np.linalg.norm(self.frame.force)))} N"
         self.panel.tell(self.frame, self._trace, self.frame_seconds, rotation)
         self._spoke = time.perf_counter()
 

@@ -26,9 +26,13 @@ if TYPE_CHECKING:
     from plantsim.view.app import Viewer
 
 COLOURS = ("plain", "limb", "stress", "stiffness", "estimate", "uncertainty")
-HELP = """Click the plant to take hold of it; drag the gizmo. Turn the view with the left
-mouse button, shift it with the right, zoom with the wheel."""
+HELP = """Click a limb to take hold of it,  
+then drag the arrows that appear there.  
+Turn the view with the left mouse button,  
+shift it with the right, zoom by the wheel."""  # as many lines as words in a drag
+REST = "\n".join(["&nbsp;  "] * 3)  # else what stands below would jump
 LONGEST = 600.0  # [s] that meshing another plant may take
+NOTHING = [(0.0, np.nan), (1.0, np.nan)]  # a trace before there is one: axes alone
 POINTS = 400  # of the trace on the page
 SPREAD = 0.35  # of the hidden stiffness, one standard deviation of its logarithm
 
@@ -68,7 +72,7 @@ class Panel:
 
     def busy(self, what: str) -> None:
         """Say what takes a moment."""
-        self._words.content = f"*{what} ...*"
+        self._words.content = f"*{what} ...*  \n{REST}"
 
     def complain(self, why: str) -> None:
         """Tell every open page what went wrong."""
@@ -105,24 +109,26 @@ class Panel:
         held = len(self._viewer.touching.ids)
         if held:
             f = frame.force
-            rate = f"; {1 / seconds:.0f} frames/s at most" if seconds else ""
+            total, shift = plain(float(np.linalg.norm(f))), plain(1e3 * frame.travel)
             about = "" if frame.exact else "about "
-            words = (
-                f"**{about}{plain(float(np.linalg.norm(f)))} N** "
-                f"({', '.join(map(plain, f))}) for {plain(1e3 * frame.travel)} mm at "
-                f"{held} vertices{rate}"
-            )
+            rate = f"; {1 / seconds:.0f} frames/s at most" if seconds else ""
+            turned = "&nbsp;"
             if not frame.exact:
-                words += "; *solving for balance ...*"
+                turned = "*solving for balance ...*"
             elif rotation is not None:
-                over = self._viewer.touching.linear and rotation > LINEAR_LIMIT
-                words += f"; turned {np.degrees(rotation):.2g} degrees" + (
-                    ": **too far for linear theory**" if over else ""
-                )
-            self._words.content = words
+                turned = f"turned {np.degrees(rotation):.2g} degrees"
+                if self._viewer.touching.linear and rotation > LINEAR_LIMIT:
+                    turned += ": **choose corotational**"
+            lines = (
+                f"**{about}{total} N** for {shift} mm",
+                f"({', '.join(map(plain, f))}) N",
+                f"{held} vertices{rate}",
+                turned,
+            )
+            self._words.content = "  \n".join(lines)
         else:
             self._words.content = HELP
-        points = np.array(trace[-POINTS:] if len(trace) > 1 else [(0.0, 0.0), (1e-6, 0.0)])
+        points = np.array(trace[-POINTS:] if len(trace) > 1 else NOTHING)
         points = points[np.argsort(points[:, 0], kind="stable")]
         self._plot.data = (points[:, 0].copy(), points[:, 1].copy())
         self._legend.content = self._viewer.skin.legend
@@ -142,12 +148,11 @@ class Panel:
             )
             go = gui.add_button("Let go")
             go.on_click(lambda _: viewer.let_go())
-            nothing = np.array([0.0, 1e-6])
             self._plot = gui.add_uplot(
-                (nothing, np.zeros(2)),
+                tuple(np.transpose(NOTHING)),
                 ({"label": "mm"}, {"label": "N", "stroke": "#1b9e4b", "width": 2}),
                 scales={"x": {"time": False}},
-                axes=({"label": "displacement, mm"}, {"label": "force, N", "size": 60}),
+                axes=({"label": "displacement, mm"}, {"label": "force, N", "size": 74}),
                 aspect=1.6,
                 padding=(12, 8, 0, 0),
             )
@@ -175,7 +180,7 @@ class Panel:
 
         @self._rest.on_update
         def _(_: Any) -> None:
-            viewer.skin.rest.visible = self._rest.value
+            viewer.skin.ghostly(bool(self._rest.value))
 
         @self._kinematics.on_update
         def _(event: Any) -> None:

@@ -257,6 +257,22 @@ def _surface(pv: Any, mesh: TetMesh, points: Array, *, clean: bool = True) -> An
     return surface.clean() if clean else surface
 
 
+def thinned(points: Array, triangles: Array, count: int) -> Array:
+    """Return about `count` triangles (k, 3) in place of more, between the same points.
+
+    By collapsing edges where the surface is flattest.
+    Source: Schroeder, Zarge, Lorensen, Decimation of triangle meshes, 1992, in VTK.
+    """
+    if len(triangles) <= count:
+        return triangles
+    pv = needs("pyvista", "view")
+    rows = np.unique(triangles)
+    full = pv.PolyData.from_regular_faces(points[rows], np.searchsorted(rows, triangles))
+    full["row"] = rows
+    thin = full.decimate_pro(1 - count / len(triangles), preserve_topology=True)
+    return np.asarray(thin["row"])[thin.regular_faces]
+
+
 def _arrows(pv: Any, starts: Array, way: Array, span: float, least: float = 0.0) -> Any:
     size = np.linalg.norm(way, axis=1)
     keep = size > 1e-9 * span

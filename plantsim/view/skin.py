@@ -7,8 +7,10 @@ their vertices move together.
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
+from plantsim.view.scenes import thinned
 from plantsim.view.style import LIMBS, STIFFNESS, STRESS, UNCERTAINTY, colours, extent, rgb
 from plantsim.view.touching import Touching
 
@@ -18,43 +20,63 @@ if TYPE_CHECKING:
 SHADES = 20
 LEAST = 0.01  # [MPa] at the end of the bar of stress, where there is none yet
 PLAIN = (139, 158, 120)
-FULL = 20_000  # triangles up to which middles of curved faces are drawn too
+NEAR = 1e-4  # of its size: a plant that moved less stands in its rest shape
+MOST = 10_000  # triangles that are drawn, half for the ghost: else of corners, thinned
 
 
 class Skin:
     """What of a plant is seen, and the colours on it."""
 
     def __init__(self, scene: Any, touching: Touching) -> None:
-        """Draw the surface at rest, plain, and a faint wireframe that stays there."""
+        """Draw the surface at rest, plain, and its ghost, which stays there."""
         self._scene = scene
         mesh = touching.mesh
         self._on = mesh.surface_vertices
+        points = self._points = mesh.points[self._on]
+        flat = np.searchsorted(self._on, mesh.surface[:, :3])
         faces, tets = touching.triangles, touching.tet_of_triangle
-        if len(faces) > FULL:  # corners alone: a quarter of the triangles
-            faces = np.searchsorted(self._on, mesh.surface[:, :3])
-            tets = mesh.surface_tets
-        self._faces, self._tets = faces, tets
-        self._points = mesh.points[self._on]
-        self._pieces: list[tuple[Any, Array]] = []
+        if len(faces) > MOST:
+            faces = thinned(points, flat, MOST)
+            near = KDTree(points[flat].mean(axis=1)).query(points[faces].mean(axis=1))[1]
+            tets = mesh.surface_tets[near]
+        self.faces, self._tets = faces, tets
+        self.pieces: list[tuple[Any, Array]] = []
         self._shade: Array | None = None
-        rest = np.unique(faces)
-        self.rest = scene.add_mesh_simple(
+        ghost = thinned(points, flat, MOST // 2)
+        rest = np.unique(ghost)
+        self._home, self._near = points, NEAR * float(np.ptp(points))
+        self._moved, self._ghostly = False, True
+        # no wireframe: where no graphics card draws, lines take longer than all else
+        self.ghost = scene.add_mesh_simple(
             "/rest",
-            self._points[rest],
-            np.searchsorted(rest, faces),
+            points[rest],
+            np.searchsorted(rest, ghost),
             color=(0, 0, 0),
-            wireframe=True,
-            opacity=0.12,
+            opacity=0.15,
             cast_shadow=False,
+            receive_shadow=False,
+            visible=False,
         )
         self.legend = ""
         self.colour_by("plain", None)
 
+    @property
+    def count(self) -> int:
+        """How many vertices are sent in every frame."""
+        return sum(len(rows) for _, rows in self.pieces)
+
     def move(self, points: Array) -> None:
         """Put the surface's vertices (s, 3) [m] somewhere."""
         self._points = points
-        for handle, rows in self._pieces:
+        self._moved = bool(np.abs(points - self._home).max() > self._near)
+        self.ghostly(self._ghostly)
+        for handle, rows in self.pieces:
             handle.vertices = points[rows]
+
+    def ghostly(self, shown: bool) -> None:
+        """Show the shape at rest, or do not; where the plant stands in it, it is hidden."""
+        self._ghostly = shown
+        self.ghost.visible = shown and self._moved
 
     def colour_by(self, what: str, viewer: "Viewer | None") -> None:
         """Colour by "plain", "limb", "stress", "stiffness", "estimate", "uncertainty"."""
@@ -65,7 +87,7 @@ class Skin:
             return
         values, unit, cmap = (None, "", "") if viewer is None else field(what, viewer)
         if values is None:
-            self._paint(np.zeros(len(self._faces), dtype=int), [PLAIN])
+            self._paint(np.zeros(len(self.faces), dtype=int), [PLAIN])
             return
         low, high = extent(values)
         if what == "stress":  # a few tets at the hand would take all colours but one
@@ -82,20 +104,19 @@ class Skin:
         if self._shade is not None and np.array_equal(key, self._shade):
             return
         self._shade = key
-        old = [handle for handle, _ in self._pieces]
-        self._pieces = []
+        old = [handle for handle, _ in self.pieces]
+        self.pieces = []
         for i, n in enumerate(np.unique(shade)):
-            faces = self._faces[shade == n]
+            faces = self.faces[shade == n]
             rows = np.unique(faces)
             handle = self._scene.add_mesh_simple(
                 f"/plant/{i}",
                 self._points[rows],
                 np.searchsorted(rows, faces),
                 color=table[int(n)],
-                side="double",
             )
-            self._pieces.append((handle, rows))
-        for handle in old[len(self._pieces) :]:  # the others were replaced by name
+            self.pieces.append((handle, rows))
+        for handle in old[len(self.pieces) :]:  # the others were replaced by name
             handle.remove()
 
 

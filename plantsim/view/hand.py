@@ -1,0 +1,41 @@
+"""Where a hand is wanted, and the steps in which it gets there.
+
+A page tells of a drag twenty times a second at most. In steps between two of its messages
+the plant follows as often as a screen shows pictures, one message behind.
+"""
+
+from dataclasses import dataclass, replace
+
+from plantsim.arrays import Array
+
+BETWEEN = 0.05  # [s] between two messages of a drag, at the least
+LATE = 0.08  # [s] after which the page is behind already: more pictures would not help it
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A shift (3,) [m] from rest and a held rotation vector (3,) [rad], in equal steps."""
+
+    shift: Array
+    turn: Array | None = None
+    steps: int = 1
+
+    def first(self, before: "Goal") -> "Goal":
+        """Return where the next step leads to from another goal that was met."""
+        shift = before.shift + (self.shift - before.shift) / self.steps
+        turn = self.turn
+        if turn is not None and before.turn is not None:
+            turn = before.turn + (turn - before.turn) / self.steps
+        return Goal(shift, turn)
+
+    def rest(self) -> "Goal | None":
+        """Return the same goal in the steps that are left after the first, if any."""
+        return replace(self, steps=self.steps - 1) if self.steps > 1 else None
+
+
+def steps(seconds: float, frame: float) -> int:
+    """Return into how many frames to divide the way of a message.
+
+    It came `seconds` after the one before; a frame takes `frame` [s] or more.
+    """
+    return max(1, round(BETWEEN / frame)) if seconds < LATE else 1
