@@ -18,6 +18,7 @@ start at 5000; none of them was used while tuning (those were 0 to 1010).
 
 import argparse
 import contextlib
+import gc
 import json
 import multiprocessing
 import resource
@@ -35,6 +36,7 @@ from random_trees import random_tree
 
 import plantsim as ps
 from plantsim.mesh.tetmesh import gamma
+from plantsim.solid.heap import glibc
 
 FIRST = 5000
 PEERS = ("occ", "union", "fTetWild", "TetGen", "gmsh")
@@ -249,32 +251,46 @@ def theirs(skeleton: ps.Skeleton, act: Callable[..., Any]) -> dict[str, Any]:
     return {"cpu": round(took, 2), "attempts": 1, "tets": len(tets), "gamma": worst}
 
 
-def one(task: tuple[int, str]) -> tuple[int, float, float]:
-    """Mesh one tree in a worker; its pid, worst gamma and peak memory [MB] so far."""
+def one(task: tuple[int, str]) -> tuple[int, float, tuple[float, float]]:
+    """Mesh one tree in a worker; its pid, worst gamma and memory [MB].
+
+    The memory is its peak so far, and what is held when what is free was given back.
+    """
     seed, kernel = task
     got = ours(random_tree(30, seed), kernel)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    gc.collect()
+    if libc := glibc():
+        libc.malloc_trim(0)
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
     pid = multiprocessing.current_process().pid or 0
-    return pid, got.get("gamma", 0.0), peak
+    return pid, got.get("gamma", 0.0), (peak, pages * resource.getpagesize() / 2**20)
 
 
 def pool(kernel: str, count: int) -> None:
-    """Mesh in a spawn pool of two processes; the peak of each must not climb."""
+    """Mesh in a spawn pool of two processes; the memory of each must not climb."""
     began = time.perf_counter()
     tasks = [(FIRST + i, kernel) for i in range(count)]
-    peaks: dict[int, list[float]] = {}
+    memory: dict[int, list[tuple[float, float]]] = {}
     worst = 1.0
     with multiprocessing.get_context("spawn").Pool(2) as workers:
-        for pid, quality, peak in workers.imap_unordered(one, tasks):
-            peaks.setdefault(pid, []).append(peak)
+        for pid, quality, used in workers.imap_unordered(one, tasks):
+            memory.setdefault(pid, []).append(used)
             worst = min(worst, quality)
-    print("\n| kernel | trees | processes | peak after 5, MB | at the end | worst gamma |")
-    print("|---|---|---|---|---|---|")
-    early = "/".join(f"{p[min(4, len(p) - 1)]:.0f}" for p in peaks.values())
-    late = "/".join(f"{p[-1]:.0f}" for p in peaks.values())
-    done = sum(map(len, peaks.values()))
     print(
-        f"| {kernel} | {done} of {count} | {len(peaks)} | {early} | {late} | {worst:.2f} |"
+        "\n| kernel | trees | processes | peak after 5, 25, all, MB | held after 5, 25, all"
+        " | worst gamma |\n|---|---|---|---|---|---|"
+    )
+    done = sum(map(len, memory.values()))
+    peak, held = (
+        " and ".join(
+            ", ".join(f"{used[min(n, len(used)) - 1][i]:.0f}" for n in (5, 25, count))
+            for used in memory.values()
+        )
+        for i in (0, 1)
+    )
+    print(
+        f"| {kernel} | {done} of {count} | {len(memory)} | {peak} | {held} | {worst:.2f} |"
     )
     print(f"{time.perf_counter() - began:.0f} s")
 

@@ -1,6 +1,9 @@
 """The same plant gives the same mesh, whatever the process did before."""
 
+import ctypes
+import mmap
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,9 +41,34 @@ def test_no_hole_is_left():
     """What is asked for inside lies beyond everything that was there."""
     libc = heap.glibc()
     assert libc is not None
-    with littered(0), heap.fresh_heap():
+    with littered(0), heap.fresh_heap() as begin:
         end = libc.sbrk(0) - libc.mallinfo2().keepcost
+        begin()
         inside = [libc.malloc(size) for size in (24, 72, 500, 5000, 16000)]
     assert min(inside) > end - 64
     for place in inside:
         libc.free(place)
+
+
+def held() -> float:
+    """Return the memory of this process [MB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * mmap.PAGESIZE / 2**20
+
+
+def test_filling_a_large_hole_takes_no_memory():
+    libc = heap.glibc()
+    assert libc is not None
+    with heap.fresh_heap():
+        pass  # from here on, what is asked for comes from the heap
+    large = [libc.malloc(2**20) for _ in range(64)]
+    last = libc.malloc(2**20)
+    for place in large:
+        ctypes.memset(place, 1, 2**20)
+        libc.free(place)
+    libc.malloc_trim(0)
+    before = held()
+    with heap.fresh_heap() as begin:
+        begin()
+        assert held() < before + 8
+    libc.free(last)

@@ -56,6 +56,8 @@ def session(**options: float) -> Iterator[Any]:
     where gmsh cannot be initialised, and when a session is open already.
     """
     check_free()
+    pointers: dict[Any, Any] = getattr(ctypes, "_pointer_type_cache", {})
+    known = set(pointers)
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
@@ -77,6 +79,8 @@ def session(**options: float) -> Iterator[Any]:
         ) from None
     finally:
         gmsh.finalize()
+        for kind in set(pointers) - known:  # one for every length of an array, for ever
+            del pointers[kind]
 
 
 @contextmanager
@@ -257,24 +261,29 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
         shaken = points + np.where(flat, 0, local)[:, None] * shake
         filled = _filled(shaken, faces, algorithm)
         if filled is not None:
-            filled[0][: len(points)] = points
-            return filled
+            xyz, tets = (part.copy() for part in filled)  # not where the heap was fresh
+            xyz[: len(points)] = points
+            return xyz, tets
     raise MeshError("gmsh: HXT cannot keep the surface without points of its own.")
 
 
 def _filled(points: Array, faces: Array, algorithm: int) -> tuple[Array, Array] | None:
     """Return points and tets, or None where HXT has added points to keep the surface."""
     tags, xyz, corners = np.arange(1, len(points) + 1), points.ravel(), faces.ravel() + 1
-    with session(
-        Mesh__Algorithm3D=algorithm,
-        Mesh__Optimize=algorithm != HXT,
-        Mesh__OptimizeThreshold=0.3,
-        Mesh__MeshSizeExtendFromBoundary=1,
-        Mesh__MeshSizeFromPoints=0,
-        Mesh__MeshSizeFromCurvature=0,
+    with (
+        fresh_heap() as begin,
+        session(
+            Mesh__Algorithm3D=algorithm,
+            Mesh__Optimize=algorithm != HXT,
+            Mesh__OptimizeThreshold=0.3,
+            Mesh__MeshSizeExtendFromBoundary=1,
+            Mesh__MeshSizeFromPoints=0,
+            Mesh__MeshSizeFromCurvature=0,
+        ),
     ):
         skin = gmsh.model.addDiscreteEntity(2)
-        with fresh_heap(), _mute():
+        begin()
+        with _mute():
             gmsh.model.mesh.addNodes(2, skin, tags, xyz)
             gmsh.model.mesh.addElementsByType(skin, 2, [], corners)
             loop = gmsh.model.geo.addSurfaceLoop([skin])

@@ -1,9 +1,10 @@
 """A heap without holes, so that code that depends on what was freed is repeatable."""
 
 import ctypes
+import gc
 import mmap
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 TRIM_THRESHOLD, TOP_PAD, MMAP_THRESHOLD = -1, -2, -3  # glibc's mallopt
@@ -12,6 +13,7 @@ ALONE = 16 << 10  # bytes; longer arrays come from the system inside `fresh_heap
 RESERVE = 128 << 10  # bytes; what glibc asks for beyond its need
 WORD = 8  # bytes
 LAST_BIN = 1032  # bytes; smaller requests have lists of free chunks of just their size
+LISTED = 16  # chunks that such a list holds at most
 
 
 class _Mallinfo2(ctypes.Structure):
@@ -39,7 +41,7 @@ def glibc() -> ctypes.CDLL | None:
 
 
 @contextmanager
-def fresh_heap() -> Iterator[None]:
+def fresh_heap() -> Iterator[Callable[[], None]]:
     """Let what is asked for inside lie in order, on zeros, and large arrays by themselves.
 
     Where recovering a surface takes a further point, HXT (gmsh 4.15.2) reads and writes one
@@ -52,29 +54,74 @@ def fresh_heap() -> Iterator[None]:
     """
     libc = glibc()
     if libc is None:
-        yield
+        yield lambda: None
         return
-    libc.mallopt(MMAP_THRESHOLD, ALONE)
-    libc.mallopt(TOP_PAD, 0)  # or large arrays are cut from what the heap has in reserve
-    libc.malloc_trim(0)
-    kept = []
-    size = ALONE // 2
-    while size > 0:
-        end = libc.sbrk(0) - libc.mallinfo2().keepcost
-        places = [libc.malloc(size) for _ in range(16)]
-        kept += places
-        if None in places or min(places) > end - 64:  # no hole was left of this size
-            size = size // 2 if size > 2 * LAST_BIN else size - 16
+    holes = _Chunks(libc)
+
+    def begin() -> None:
+        libc.mallopt(MMAP_THRESHOLD, LARGEST)
+        libc.mallopt(TOP_PAD, 0)
+        holes.take_holes()
+        libc.malloc_trim(0)  # or large arrays are cut from what it has in reserve
+        libc.mallopt(MMAP_THRESHOLD, ALONE)
+
     try:
-        yield
+        yield begin
     finally:
-        for place in kept:
-            libc.free(place)
+        gc.collect()  # types that ctypes makes for arrays are in cycles
+        # lists of freed chunks hold some of what was asked for inside: they are to hold
+        # what lies lower, or the next fill would begin behind those, and the heap grow
+        holes.take_listed()
+        holes.free()
         libc.malloc_trim(0)  # pages of the holes go back, or every mesh leaves some
         # where glibc's own thresholds end that move with what was freed
         libc.mallopt(MMAP_THRESHOLD, LARGEST)
         libc.mallopt(TRIM_THRESHOLD, 2 * LARGEST)
         libc.mallopt(TOP_PAD, RESERVE)
+
+
+class _Chunks:
+    """Chunks of the heap, each with the address of the one before: a list would grow."""
+
+    def __init__(self, libc: ctypes.CDLL) -> None:
+        self.libc = libc
+        self.last = 0
+
+    def _take(self, place: int) -> None:
+        ctypes.c_size_t.from_address(place).value = self.last
+        self.last = place
+
+    def take_holes(self) -> None:
+        """Take all that is free in the heap, largest first.
+
+        Large holes go in few pieces, of which a page each is touched: they take no memory.
+        """
+        end = self.libc.sbrk(0) - self.libc.mallinfo2().keepcost
+        size = LARGEST // 2
+        while size > 0:
+            place = self.libc.malloc(size) or end  # none: there is a limit to memory
+            if place < end:
+                self._take(place)
+            else:  # no hole was left of this size
+                if place > end:
+                    self.libc.free(place)
+                size = size // 2 if size > 2 * LAST_BIN else size - 2 * WORD
+
+    def take_listed(self) -> None:
+        """Take chunks until no list of freed ones of some size holds any."""
+        for size in range(WORD, LAST_BIN + 1, 2 * WORD):
+            for _ in range(LISTED):
+                if place := self.libc.malloc(size):
+                    self._take(place)
+
+    def free(self) -> None:
+        """Free all, what is lowest first: that fills the lists, and the rest is joined."""
+        places = []
+        while self.last:
+            places.append(self.last)
+            self.last = ctypes.c_size_t.from_address(self.last).value
+        for place in sorted(places):
+            self.libc.free(place)
 
 
 def room_behind(length: int) -> int:
