@@ -4,12 +4,11 @@ An iteration of CG takes two back-solves a case, the whole Hessian one a case an
 So one is made for few columns, and preconditions CG at later iterates until it is worn.
 """
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse.linalg import LinearOperator, cg
 
 from plantsim.arrays import Array
 
@@ -18,19 +17,15 @@ if TYPE_CHECKING:
 
 FEW = 128  # columns of a chart up to which a Hessian is made, not only applied
 FEWER = 20  # up to which that is as cheap as CG, and done at every iteration
-PAIRS = 100  # directions remembered for the preconditioner
+PAIRS = 200  # directions remembered for the preconditioner
 WORN = 15  # CG iterations from which on a whole Hessian is made anew
 GAIN = 0.1  # of the mean gain of CG's iterations: less, and it stops
+LATELY = 5  # iterations whose mean gain is compared with that
 RESIDUAL = 1e-6  # of the gradient at which CG stops anyhow
 
 
 def direction_of(
-    here: "Objective",
-    g: Array,
-    memory: "Memory",
-    most: int,
-    dear: float,
-    gain: float = GAIN,
+    here: "Objective", g: Array, memory: "Memory", most: int, dear: float
 ) -> tuple[Array, int]:
     """Return the Gauss-Newton step, and the CG iterations it took, `most` at most."""
     p, q = len(g), here.chart.columns.shape[1]
@@ -40,22 +35,58 @@ def direction_of(
         return -np.linalg.solve(here.dense_hessian / here.temper + np.eye(p), g), 0
 
     def product(v: Array) -> Array:
-        v = np.ravel(v).copy()
-        Av = here.hessian(v)
-        new.append((v, Av))
-        return v + Av / here.temper
+        return v + here.hessian(v) / here.temper
 
-    new: list[tuple[Array, Array]] = []
-    H: Any = LinearOperator((p, p), matvec=product, dtype=float)  # type: ignore[call-arg]
-    M: Any = LinearOperator((p, p), matvec=memory.inverse(here.temper), dtype=float)  # type: ignore[call-arg]
-    watch = _Watch(g, gain, dear)
-    try:
-        step, _ = cg(H, -g, M=M, rtol=RESIDUAL, maxiter=most, callback=watch)
-    except _Enough:
-        step = watch.step
-    memory.add(new)
-    memory.worn = watch.count > WORN
-    return step, watch.count
+    step, P, HP = _cg(product, g, memory.inverse(here.temper), most, dear)
+    memory.add(P, (HP - P) * here.temper)
+    memory.worn = len(P) > WORN
+    return step, len(P)
+
+
+def _cg(
+    product: Callable[[Array], Array],
+    g: Array,
+    inverse: Callable[[Array], Array],
+    most: int,
+    dear: float,
+) -> tuple[Array, Array, Array]:
+    """Return -H^-1 g by CG, as far as it pays; its directions P (k, p), P H P^T = 1; H P.
+
+    Every direction is made conjugate to all before it, not to the last alone. H has a few
+    eigenvalues a million times the others, which by rounding would be found again and
+    again: that took twice the iterations.
+
+    From zero, the k-th point x has the quadratic model g x / 2. The rule is that of Nash
+    and Sofer 1990, Oper. Res. Lett. 9: stop when an iteration gains less than a share of
+    the mean of those before it. Near the end, where `dear` is finite, large gains at first
+    do not hide what is still to be had: they count as `dear` at most, and some iterations
+    are looked at together, since one alone may be poor. Far from it a step need not be so
+    good. Without BLAS, as `solve.stats.norm`.
+    """
+    x, r = np.zeros_like(g), -g
+    P, HP = np.empty((2, most, len(g)))
+    window = LATELY if np.isfinite(dear) else 1
+    least = RESIDUAL**2 * _dot(g, g)
+    gains: list[float] = []
+    for k in range(most):
+        p = inverse(r)
+        p -= np.einsum("ij,i->j", P[:k], np.einsum("ij,j->i", HP[:k], p))
+        Hp = product(p)
+        size = np.sqrt(_dot(p, Hp))
+        P[k], HP[k] = p / size, Hp / size
+        along = _dot(P[k], r)
+        x += along * P[k]
+        r -= along * HP[k]
+        gains.append(along**2 / 2)
+        now = sum(gains[-window:]) / window
+        poor = (k + 1) * now < GAIN * min(sum(gains), dear)
+        if (k > 0 and k + 1 >= window and poor) or _dot(r, r) <= least:
+            return x, P[: k + 1], HP[: k + 1]
+    return x, P, HP
+
+
+def _dot(a: Array, b: Array) -> float:
+    return float(np.einsum("i,i->", a, b))
 
 
 class Memory:
@@ -72,9 +103,9 @@ class Memory:
         self.whole: Array | None = None  # the Hessian of an earlier iterate, if made
         self.worn = False  # whether that serves no more
 
-    def add(self, new: Sequence[tuple[Array, Array]]) -> None:
-        """Add pairs, forgetting the oldest."""
-        self.kept = [*self.kept, *new][-self.pairs :]
+    def add(self, V: Array, AV: Array) -> None:
+        """Add pairs, rows of V and AV, forgetting the oldest."""
+        self.kept = [*self.kept, *zip(V, AV, strict=True)][-self.pairs :]
 
     def clear(self) -> None:
         """Forget all."""
@@ -85,7 +116,7 @@ class Memory:
         pairs = []
         for v, Av in self.kept:
             y = v + Av / temper
-            size = np.sqrt(np.einsum("i,i", v, y))
+            size = np.sqrt(_dot(v, y))
             pairs.append((v / size, y / size))
         whole = None
         if self.whole is not None:
@@ -95,39 +126,12 @@ class Memory:
             out = np.ravel(v).copy()
             share = []
             for s, y in reversed(pairs):
-                share.append(float(np.einsum("i,i", s, out)))
+                share.append(_dot(s, out))
                 out -= share[-1] * y
             if whole is not None:
                 out = cho_solve(whole, out)
             for s, y in pairs:
-                out += (share.pop() - float(np.einsum("i,i", y, out))) * s
+                out += (share.pop() - _dot(y, out)) * s
             return out
 
         return apply
-
-
-class _Enough(Exception):
-    """CG has gone far enough: no error."""
-
-
-class _Watch:
-    """Stops CG where its next step would gain little of what it has gained.
-
-    From zero, CG's k-th point x has the quadratic model g x / 2. The rule is that of Nash
-    and Sofer 1990, Oper. Res. Lett. 9: stop when an iteration gains less than a share of
-    the mean of those before it. Large gains at first do not hide what is still to be had:
-    they count as `dear` at most.
-    """
-
-    def __init__(self, g: Array, gain: float, dear: float) -> None:
-        self.g, self.least, self.dear = g, gain, dear
-        self.count, self.gained = 0, 0.0
-        self.step = np.zeros_like(g)
-
-    def __call__(self, x: Array) -> None:
-        self.count += 1
-        gained = -0.5 * float(self.g @ x)
-        now = gained - self.gained
-        self.gained, self.step = gained, x.copy()
-        if self.count > 1 and self.count * now < self.least * min(gained, self.dear):
-            raise _Enough

@@ -22,7 +22,7 @@ from plantsim.elastic.model import ElasticModel
 from plantsim.elastic.newton import large_equilibrium
 from plantsim.errors import SolverError, StoppedWarning
 from plantsim.estimation.cases import Case
-from plantsim.estimation.response import LinearResponse, Response
+from plantsim.estimation.response import LinearResponse, Response, total
 from plantsim.solve.solver import Factor, choose
 
 TOLERANCE = 1e-9  # residual of an equilibrium, over its forces
@@ -50,7 +50,7 @@ class LargeResponse(Response):
 
     def change(self, log: Array) -> tuple[Array, list[Array]]:
         """Return du (free, cases) [m] and df of each case for a change of log-moduli."""
-        w = (self.W @ log).reshape(len(self.cases), -1)
+        w = np.concatenate([W @ log for W in self.W]).reshape(len(self.cases), -1)
         du, df = np.zeros_like(self.u), []
         for t in range(len(self.cases)):
             du[:, t : t + 1], f = self._change(t, w[t][:, None])
@@ -64,7 +64,8 @@ class LargeResponse(Response):
             rest, factor, across = self._tangent(t)
             e[rest, t] = -factor(by_u[rest, t] + across @ by_f[t], check=False)[0]
             e[at, t] = by_f[t]
-        return self._transposed @ e.T.ravel()
+        parts = zip(self._transposed, self._shares, strict=True)
+        return total([back @ e[:, own].T.ravel() for back, own in parts])
 
     def change_of(self, t: int, columns: Any) -> tuple[Array, Array]:
         """Return du (free, q) and df (3k, q) of case t for many changes, sparse (2m, q)."""

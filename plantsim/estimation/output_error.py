@@ -24,7 +24,7 @@ from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
-from plantsim.estimation.direction import FEW, FEWER, GAIN, Memory, direction_of
+from plantsim.estimation.direction import FEW, FEWER, Memory, direction_of
 from plantsim.estimation.large_response import respond
 from plantsim.estimation.parameters import Chart
 from plantsim.estimation.response import Response
@@ -77,7 +77,7 @@ class Options:
 
     tolerance: float = 3e-4  # stop when a step promises less than this share of the cost
     iterations: int = 40
-    inner: int = 100  # CG iterations of one Gauss-Newton step
+    inner: int = 200  # CG iterations of one Gauss-Newton step
     progress: Callable[[Step], Any] | None = None
 
 
@@ -99,8 +99,8 @@ class Objective:
         self.model = model.with_material(material)
         self.response = respond(self.model, cases, like)
         free = (3 * self.response.free[:, None] + np.arange(3)).ravel()
-        self.weight = np.stack([c.displacement_weight[free] for c in cases], axis=1)
-        seen = np.stack([c.displacement[free] for c in cases], axis=1)
+        self.weight = np.stack([c.displacement_weight[free] for c in cases]).T
+        seen = np.stack([c.displacement[free] for c in cases]).T
         self.miss_u = self.response.u - seen
         self.miss_f = [
             c.feel @ f - c.force for c, f in zip(cases, self.response.force, strict=True)
@@ -234,13 +234,9 @@ def _descend(here: Objective, options: Options, track: _Track) -> tuple[Objectiv
         size = float(np.linalg.norm(g))
         track.add(here.cost, size, (change, share, inner))
         enough = 2 * options.tolerance * max(here.cost, here.readings / 2)
-        dear = DEAR * enough / 2
+        dear = DEAR * enough / 2 if temper == 1 else np.inf
         direction, inner = direction_of(here, g, memory, options.inner, dear)
         promise = -float(g @ direction)  # twice the decrease of the quadratic model
-        if temper == 1 and promise <= enough:
-            # whether there is really so little to gain, CG says when it goes farther
-            direction, more = direction_of(here, g, memory, options.inner, dear, GAIN / 10)
-            promise, inner = -float(g @ direction), inner + more
         if temper == 1 and promise <= enough:
             return here, ""
         if count == options.iterations:

@@ -10,13 +10,15 @@ and for a change v of the log-moduli, with x = K^-1 (W(u) diag(theta) v),
 
     df = S^-1 x_C,   du = -(x - Y df).
 
-The transposes cost one back-solve too. All load cases share K: all are solved at once.
+The transposes cost one back-solve too. All load cases share K. They are cut in shares of a
+few, each carried right through by one thread; sums go from share to share in order, so the
+numbers do not depend on how many threads there are.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.linalg
@@ -26,8 +28,11 @@ from plantsim.arrays import Array
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
+from plantsim.solve.direct import LARGE, STRIP
 from plantsim.solve.stats import norm
+from plantsim.solve.threads import shares, together
 
+T = TypeVar("T")
 ACCEPTED = 1e-8  # backward error of an equilibrium
 MANY = 96  # columns that are solved for at a time
 
@@ -52,6 +57,9 @@ class Response(ABC):
         self._place = np.full(n, -1)
         self._place[self.free] = np.arange(len(self.free))
         self._at = [self.rows(case.moved) for case in cases]
+        large = 3 * len(self.free) >= LARGE
+        self._shares = shares(len(cases), STRIP, 2 if large else 1)
+        self._threads = large  # whether shares are worth a thread each
 
     @abstractmethod
     def change(self, log: Array) -> tuple[Array, list[Array]]:
@@ -76,30 +84,34 @@ class Response(ABC):
         return u
 
     @cached_property
-    def fields(self) -> Array:
-        """Displacements (n, 3, cases) [m] of all vertices."""
-        return np.stack([self.field(t) for t in range(len(self.cases))], axis=2)
+    def W(self) -> list[Any]:
+        """Change of forces with the log-moduli, of each share: (its cases free, 2m)."""
+        pattern = self._pattern
+        return self._each(lambda i: self._force_matrix(self._shares[i], pattern))
 
-    @cached_property
-    def W(self) -> Any:
-        """Change of forces with the log-moduli, case after case, (cases free, 2m)."""
+    def _each(self, work: Callable[[int], T]) -> list[T]:
+        """Return work(i) of every share i."""
+        count = len(self._shares)
+        return together(work, count) if self._threads else [work(i) for i in range(count)]
+
+    def _force_matrix(self, share: slice, pattern: tuple[Array, Array, Array]) -> Any:
         mesh = self.model.mesh
         m, c = mesh.tets.shape
         mu, lam, _ = self.model.material.per_tet(m)
-        T, nf = len(self.cases), 3 * len(self.free)
-        order, indices, indptr = self._pattern
-        data = np.empty((T, len(order)))
+        cases = range(len(self.cases))[share]
+        order, indices, indptr = pattern
+        step, count = len(order), len(cases)
+        data = np.empty((count, step))
         both = np.empty((2, m, 3 * c))
-        for t in range(T):
-            unit_mu, unit_lam = self.model.deformed(self.fields[:, :, t]).unit_forces()
+        for t, own in zip(cases, data, strict=True):
+            unit_mu, unit_lam = self.model.deformed(self.field(t)).unit_forces()
             np.multiply(unit_mu.reshape(m, -1), mu[:, None], out=both[0])
             np.multiply(unit_lam.reshape(m, -1), lam[:, None], out=both[1])
-            data[t] = both.reshape(-1)[order]
-        step = len(order)
-        starts = (indptr[:-1] + step * np.arange(T)[:, None]).ravel()
+            np.take(both.reshape(-1), order, out=own)
+        starts = (indptr[:-1] + step * np.arange(count)[:, None]).ravel()
         return csr_array(
-            (data.ravel(), np.tile(indices, T), np.append(starts, T * step)),
-            shape=(T * nf, 2 * m),
+            (data.ravel(), np.tile(indices, count), np.append(starts, count * step)),
+            shape=(count * 3 * len(self.free), 2 * m),
         )
 
     @cached_property
@@ -109,13 +121,15 @@ class Response(ABC):
         return _pattern(self.model.mesh.tets, self._place, 3 * len(self.free))
 
     @cached_property
-    def _transposed(self) -> Any:
-        return self.W.T
+    def _transposed(self) -> list[Any]:
+        return [W.T for W in self.W]
 
     def _dense(self, t: int, columns: Any) -> Array:
         """Return the forces of case t by many changes, (free, q)."""
         nf = 3 * len(self.free)
-        loads = self.W[t * nf : (t + 1) * nf] @ columns
+        i = next(i for i, share in enumerate(self._shares) if t < share.stop)
+        first = (t - self._shares[i].start) * nf
+        loads = self.W[i][first : first + nf] @ columns
         return loads.toarray(order="F") if hasattr(loads, "toarray") else loads
 
 
@@ -128,12 +142,13 @@ class LinearResponse(Response):
         """Factor K and solve for every case."""
         super().__init__(model, cases, like)
         _, self._factor = model.base_factor()
+        self._threads = self._threads and self._factor.threads
         self._columns = self._compliance()
         self._inverse = [
             self._positive(Y[at]) if len(at) else np.zeros((0, 0))
             for Y, at in zip(self._columns, self._at, strict=True)
         ]
-        loads = np.stack([case.load[self.free].ravel() for case in cases], axis=1)
+        loads = np.stack([case.load[self.free].ravel() for case in cases]).T
         self.u = self.solve(loads, check=True) if loads.any() else np.zeros_like(loads)
         self.force: list[Array] = []
         for t, (case, at) in enumerate(zip(cases, self._at, strict=True)):
@@ -191,23 +206,35 @@ class LinearResponse(Response):
 
     def change(self, log: Array) -> tuple[Array, list[Array]]:
         """Return du (free, cases) [m] and df of each case for a change of log-moduli."""
-        T = len(self.cases)
-        x = self.solve((self.W @ log).reshape(T, -1).T)
-        df = []
-        for t, at in enumerate(self._at):
-            f = self._inverse[t] @ x[at, t]
-            df.append(f)
-            if len(at):
-                x[:, t] -= self._columns[t] @ f
-        return np.negative(x, out=x), df
+        W, du = self.W, np.empty(self.u.shape, order="F")
+        df = [np.zeros(0)] * len(self.cases)
+
+        def share(i: int) -> None:
+            own = self._shares[i]
+            x = self.solve((W[i] @ log).reshape(-1, len(du)).T)
+            for t, xt in zip(range(own.start, own.stop), x.T, strict=True):
+                df[t] = np.einsum("ij,j->i", self._inverse[t], xt[self._at[t]])
+                if len(df[t]):
+                    xt[:] -= np.einsum("ij,j->i", self._columns[t], df[t])
+            np.negative(x, out=du[:, own])
+
+        self._each(share)
+        return du, df
 
     def pull(self, by_u: Array, by_f: Sequence[Array]) -> Array:
         """Return the transpose of `change` of (free, cases) and one (3k,) a case."""
-        r = np.asfortranarray(-by_u)
-        for t, at in enumerate(self._at):
-            if len(at):
-                r[at, t] += self._inverse[t] @ (self._columns[t].T @ by_u[:, t] + by_f[t])
-        return self._transposed @ self.solve(r).T.ravel()
+        back = self._transposed
+
+        def share(i: int) -> Array:
+            own = self._shares[i]
+            r = np.asfortranarray(-by_u[:, own])
+            for t, rt in zip(range(own.start, own.stop), r.T, strict=True):
+                if len(self._at[t]):
+                    f = by_f[t] - np.einsum("ij,i->j", self._columns[t], rt)
+                    rt[self._at[t]] += np.einsum("ij,j->i", self._inverse[t], f)
+            return back[i] @ self.solve(r).T.ravel()
+
+        return total(self._each(share))
 
     def change_of(self, t: int, columns: Any) -> tuple[Array, Array]:
         """Return du (free, q) and df (3k, q) of case t for many changes, sparse (2m, q)."""
@@ -215,6 +242,14 @@ class LinearResponse(Response):
         at = self._at[t]
         df = self._inverse[t] @ x[at]
         return self._columns[t] @ df - x, df
+
+
+def total(parts: Sequence[Array]) -> Array:
+    """Return the sum of some arrays, in order."""
+    out = parts[0]
+    for part in parts[1:]:
+        out = out + part
+    return out
 
 
 def _pattern(tets: Array, place: Array, rows: int) -> tuple[Array, Array, Array]:

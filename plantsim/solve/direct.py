@@ -2,11 +2,9 @@
 
 import importlib
 import importlib.util
-import os
 import weakref
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from plantsim.errors import SolverError
 from plantsim.solve.half import Half
 from plantsim.solve.ordering import SYMMETRIC, Ordering
 from plantsim.solve.stats import backward_error, norm, norm_inf
+from plantsim.solve.threads import shares, together
 
 if TYPE_CHECKING:
     from plantsim.solve.solver import Factor
@@ -94,6 +93,11 @@ class DirectFactor:
     name: str = field(init=False, default="direct")
     known: Ordering | None = None  # where it was made in another factor's order
 
+    @property
+    def threads(self) -> bool:
+        """Whether many threads may solve at once: not with PARDISO, which has its own."""
+        return not isinstance(self.lu, _Pardiso)
+
     @cached_property
     def size(self) -> float:
         """A norm of K."""
@@ -131,19 +135,16 @@ class DirectFactor:
         else:
             u = np.empty(f.shape, order="F")
             # as wide as another: ten are five and five, for two threads
-            width = max(1, -(-f.shape[1] // max(1, -(-f.shape[1] // STRIP))))
+            strips = shares(f.shape[1], STRIP)
 
-            def strip(first: int) -> None:
-                part = slice(first, first + width)
-                u[:, part] = self.lu.solve(np.asfortranarray(f[:, part]))
+            def strip(i: int) -> None:
+                u[:, strips[i]] = self.lu.solve(np.asfortranarray(f[:, strips[i]]))
 
-            starts = range(0, f.shape[1], width)
-            few = len(starts) < (2 if len(f) >= LARGE else MANY)
-            if few or isinstance(self.lu, _Pardiso):
-                for first in starts:
-                    strip(first)
+            if len(strips) < (2 if len(f) >= LARGE else MANY) or not self.threads:
+                for i in range(len(strips)):
+                    strip(i)
             else:
-                list(_pool().map(strip, starts))
+                together(strip, len(strips))
         if not check:
             return u, 0, np.full(f.shape[1:], np.nan)
         error = backward_error(self.K, self.size, u, f)
@@ -178,11 +179,6 @@ class DirectFactor:
     @cached_property
     def _half(self) -> Half | None:
         return None if isinstance(self.lu, _Pardiso) else Half.of(self.lu)
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(min(4, os.cpu_count() or 1), "plantsim-solve")
 
 
 class _Pardiso:

@@ -85,6 +85,11 @@ class MultigridFactor:
         return True
 
     @property
+    def threads(self) -> bool:
+        """False: pyamg's levels have room for one right-hand side."""
+        return False
+
+    @property
     def preconditioner(self) -> Any:
         """One W cycle as a linear operator; of two levels it is a V cycle."""
         return self.levels.aspreconditioner(cycle="W")

@@ -28,6 +28,11 @@ class Factor(Protocol):
         """Whether the system is positive definite, as far as the factor can tell."""
         ...
 
+    @property
+    def threads(self) -> bool:
+        """Whether many threads may solve at once."""
+        ...
+
     def precondition(self, f: Array) -> Array:
         """Return K^-1 f or near it, unchecked and cheap; symmetric in f."""
         ...
