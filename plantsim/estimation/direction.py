@@ -37,13 +37,13 @@ def direction_of(
     def product(v: Array) -> Array:
         return v + here.hessian(v) / here.temper
 
-    step, P, HP = _cg(product, g, memory.inverse(here.temper), most, dear)
+    step, P, HP = conjugate_step(product, g, memory.inverse(here.temper), most, dear)
     memory.add(P, (HP - P) * here.temper)
     memory.worn = len(P) > WORN
     return step, len(P)
 
 
-def _cg(
+def conjugate_step(
     product: Callable[[Array], Array],
     g: Array,
     inverse: Callable[[Array], Array],
@@ -118,6 +118,10 @@ class Memory:
             y = v + Av / temper
             size = np.sqrt(_dot(v, y))
             pairs.append((v / size, y / size))
+        scale = 1.0
+        if pairs and self.whole is None:
+            # what is not remembered is as stiff as what was last found
+            scale = _dot(pairs[-1][0], pairs[-1][0])
         whole = None
         if self.whole is not None:
             whole = cho_factor(self.whole / temper + np.eye(len(self.whole)))
@@ -130,6 +134,7 @@ class Memory:
                 out -= share[-1] * y
             if whole is not None:
                 out = cho_solve(whole, out)
+            out *= scale
             for s, y in pairs:
                 out += (share.pop() - _dot(y, out)) * s
             return out

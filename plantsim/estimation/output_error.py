@@ -32,7 +32,6 @@ from plantsim.estimation.response import Response
 FAR = 2.0  # largest change of a log-modulus in one step
 SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
 HALVINGS = 12
-NEAR = 0.1  # change of a log-modulus up to which the Hessian is much the same
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 DEAR = 25.0  # times what is enough to stop at: that rule counts no larger gains
 FIRST = 3  # touches that lead the way
@@ -122,12 +121,17 @@ class Objective:
         """Return what is minimised."""
         return self.misfit / self.temper + self.prior
 
+    def _weigh(
+        self, own: slice, du: Array, felt: Sequence[Array]
+    ) -> tuple[Array, list[Array]]:
+        """Return displacements (free, k) and readings of force of some cases, weighed."""
+        cases = zip(self.cases[own], felt, strict=True)
+        return self.weight[:, own] * du, [c.feel.T @ (c.force_weight * r) for c, r in cases]
+
     def _back(self, by_u: Array, by_f: Sequence[Array]) -> Array:
         """Return the weighed readings' pull on xi."""
-        back = [
-            c.feel.T @ (c.force_weight * r) for c, r in zip(self.cases, by_f, strict=True)
-        ]
-        return self.chart.adjoint(self.response.pull(self.weight * by_u, back))
+        pulled = self.response.pull(*self._weigh(slice(None), by_u, by_f))
+        return self.chart.adjoint(pulled)
 
     def gradient(self) -> Array:
         """Return the derivative of the cost by xi, exactly."""
@@ -141,9 +145,12 @@ class Objective:
 
     def hessian(self, v: Array) -> Array:
         """Return the Gauss-Newton Hessian of the misfit, without the prior's, times v."""
-        du, df = self.response.change(self.chart.log(np.ravel(v)))
-        felt = [c.feel @ f for c, f in zip(self.cases, df, strict=True)]
-        return self._back(du, felt)
+
+        def weigh(own: slice, du: Array, df: list[Array]) -> tuple[Array, list[Array]]:
+            cases = zip(self.cases[own], df, strict=True)
+            return self._weigh(own, du, [c.feel @ f for c, f in cases])
+
+        return self.chart.adjoint(self.response.around(self.chart.log(v), weigh))
 
     def small_hessian(self) -> Array:
         """Return the same as a matrix (q, q) over the logarithms of the chart's columns."""
@@ -246,7 +253,7 @@ def _descend(here: Objective, options: Options, track: _Track) -> tuple[Objectiv
                 f"{options.tolerance:.0e}. Raise iterations=, or check the noise given."
             )
         far = float(np.abs(here.chart.log(direction)).max())
-        there, share, bent = _search(
+        there, share = _search(
             here,
             direction,
             promise,
@@ -261,8 +268,6 @@ def _descend(here: Objective, options: Options, track: _Track) -> tuple[Objectiv
                 f"{size:.2g}. The readings may be exact beyond rounding: give noise."
             )
         change = share * far
-        if change > NEAR or bent:
-            memory.clear()
         here = there
     raise AssertionError("the last pass returns")
 
@@ -292,11 +297,11 @@ def _search(
     promise: float,
     share: float,
     newton: Callable[[Array], Array],
-) -> tuple[Objective | None, float, bool]:
+) -> tuple[Objective | None, float]:
     """Return the objective after the largest share of a step that lowers the cost.
 
-    And the share, and whether the step was bent: where it brings less than forecast, by
-    the second-order correction of its end, half the geodesic acceleration of Transtrum and
+    And the share. A step that brings less than forecast is bent by the second-order
+    correction of its end, half the geodesic acceleration of Transtrum and
     Sethna 2012, arXiv:1201.5885; `newton` solves for it.
     """
     curve: Array | None = None  # the correction at a share of 1
@@ -314,9 +319,9 @@ def _search(
             if bent is not None and bent.cost < there.cost:
                 there = bent
         if there is not None and here.cost - there.cost >= SUFFICIENT * share * promise:
-            return there, share, curve is not None
+            return there, share
         share /= 2
-    return None, 0.0, False
+    return None, 0.0
 
 
 def _at(here: Objective, xi: Array) -> Objective | None:

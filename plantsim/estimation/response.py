@@ -28,13 +28,16 @@ from plantsim.arrays import Array
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
-from plantsim.solve.direct import LARGE, STRIP
+from plantsim.solve.direct import STRIP
 from plantsim.solve.stats import norm
 from plantsim.solve.threads import shares, together
 
 T = TypeVar("T")
+# of du (free, k) [m] and df of k cases, a slice of all, makes what is to be pulled back
+Weigh = Callable[[slice, Array, list[Array]], tuple[Array, list[Array]]]
 ACCEPTED = 1e-8  # backward error of an equilibrium
 MANY = 96  # columns that are solved for at a time
+LARGE = 5_000  # unknowns from which on shares of the cases are worth a thread each
 
 
 class Response(ABC):
@@ -59,7 +62,7 @@ class Response(ABC):
         self._at = [self.rows(case.moved) for case in cases]
         large = 3 * len(self.free) >= LARGE
         self._shares = shares(len(cases), STRIP, 2 if large else 1)
-        self._threads = large  # whether shares are worth a thread each
+        self._threads = large
 
     @abstractmethod
     def change(self, log: Array) -> tuple[Array, list[Array]]:
@@ -68,6 +71,10 @@ class Response(ABC):
     @abstractmethod
     def pull(self, by_u: Array, by_f: Sequence[Array]) -> Array:
         """Return the transpose of `change` of (free, cases) and one (3k,) a case."""
+
+    def around(self, log: Array, weigh: Weigh) -> Array:
+        """Return the pull (2m,) of what `weigh` makes of the change of some cases each."""
+        return self.pull(*weigh(slice(None), *self.change(log)))
 
     @abstractmethod
     def change_of(self, t: int, columns: Any) -> tuple[Array, Array]:
@@ -206,35 +213,47 @@ class LinearResponse(Response):
 
     def change(self, log: Array) -> tuple[Array, list[Array]]:
         """Return du (free, cases) [m] and df of each case for a change of log-moduli."""
-        W, du = self.W, np.empty(self.u.shape, order="F")
-        df = [np.zeros(0)] * len(self.cases)
-
-        def share(i: int) -> None:
-            own = self._shares[i]
-            x = self.solve((W[i] @ log).reshape(-1, len(du)).T)
-            for t, xt in zip(range(own.start, own.stop), x.T, strict=True):
-                df[t] = np.einsum("ij,j->i", self._inverse[t], xt[self._at[t]])
-                if len(df[t]):
-                    xt[:] -= np.einsum("ij,j->i", self._columns[t], df[t])
-            np.negative(x, out=du[:, own])
-
-        self._each(share)
-        return du, df
+        W = self.W
+        parts = self._each(lambda i: self._change(i, W[i] @ log))
+        df = [f for _, some in parts for f in some]
+        return np.concatenate([du.T for du, _ in parts]).T, df
 
     def pull(self, by_u: Array, by_f: Sequence[Array]) -> Array:
         """Return the transpose of `change` of (free, cases) and one (3k,) a case."""
-        back = self._transposed
+        back, own = self._transposed, self._shares
+        return total(
+            self._each(lambda i: back[i] @ self._pull(i, by_u[:, own[i]], by_f[own[i]]))
+        )
+
+    def around(self, log: Array, weigh: Weigh) -> Array:
+        """Return the pull (2m,) of what `weigh` makes of the change of some cases each."""
+        W, back = self.W, self._transposed
 
         def share(i: int) -> Array:
-            own = self._shares[i]
-            r = np.asfortranarray(-by_u[:, own])
-            for t, rt in zip(range(own.start, own.stop), r.T, strict=True):
-                if len(self._at[t]):
-                    f = by_f[t] - np.einsum("ij,i->j", self._columns[t], rt)
-                    rt[self._at[t]] += np.einsum("ij,j->i", self._inverse[t], f)
-            return back[i] @ self.solve(r).T.ravel()
+            by_u, by_f = weigh(self._shares[i], *self._change(i, W[i] @ log))
+            return back[i] @ self._pull(i, by_u, by_f)
 
         return total(self._each(share))
+
+    def _change(self, i: int, loads: Array) -> tuple[Array, list[Array]]:
+        """Return du (free, its cases) and df of each case of share i for their loads."""
+        x = self.solve(loads.reshape(-1, len(self.u)).T)
+        df = []
+        for t, xt in zip(range(len(self.cases))[self._shares[i]], x.T, strict=True):
+            df.append(np.einsum("ij,j->i", self._inverse[t], xt[self._at[t]]))
+            if len(df[-1]):
+                xt[:] -= np.einsum("ij,j->i", self._columns[t], df[-1])
+        return np.negative(x, out=x), df
+
+    def _pull(self, i: int, by_u: Array, by_f: Sequence[Array]) -> Array:
+        """Return the loads (its cases free,) that are the transpose of `_change`."""
+        r = np.asfortranarray(-by_u)
+        own = range(len(self.cases))[self._shares[i]]
+        for t, rt, felt in zip(own, r.T, by_f, strict=True):
+            if len(felt):
+                f = felt - np.einsum("ij,i->j", self._columns[t], rt)
+                rt[self._at[t]] += np.einsum("ij,j->i", self._inverse[t], f)
+        return self.solve(r).T.ravel()
 
     def change_of(self, t: int, columns: Any) -> tuple[Array, Array]:
         """Return du (free, q) and df (3k, q) of case t for many changes, sparse (2m, q)."""

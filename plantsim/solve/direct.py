@@ -2,7 +2,9 @@
 
 import importlib
 import importlib.util
+import threading
 import weakref
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -28,13 +30,15 @@ PARDISO_FROM = 400_000
 # Right-hand sides at a time. Six take half of the time of six alone. With twelve BLAS
 # starts threads, which gain nothing; on a busy machine thirty took six times as long
 STRIP = 6
-# Strips from which on they are shared out to threads: SuperLU gives up Python's lock
-MANY = 6
-# Unknowns from which on two strips are enough for that
-LARGE = 5_000
+# Entries of L + U an unknown from which on two threads solve faster than one. With fewer
+# SuperLU calls BLAS for so little that the threads wait for each other at its door: at 34
+# of 27,000 unknowns two took 1.8 times as long as one for the same, at 65 as long, at 85
+# two thirds (order 2). There one thread at a time solves
+DENSE = 75
 # How far compliance by half solves may be from that by a whole one: on slender plants the
 # two are some 1e-10 apart
 FORWARD = 1e-6
+ALONE = threading.Lock()
 
 
 def has_pardiso() -> bool:
@@ -123,7 +127,13 @@ class DirectFactor:
 
     def precondition(self, f: Array) -> Array:
         """Return K^-1 f, unchecked."""
-        return self.lu.solve(f)
+        with nullcontext() if self._dense else ALONE:
+            return self.lu.solve(f)
+
+    @cached_property
+    def _dense(self) -> bool:
+        """Whether threads solve faster together than one after another."""
+        return self.threads and self.lu.nnz >= DENSE * self.K.shape[0]
 
     def __call__(self, f: Array, *, check: bool = True) -> tuple[Array, int, Array]:
         """Return the solution (n,) or (n, k), 0 iterations and the backward errors.
@@ -131,20 +141,20 @@ class DirectFactor:
         Without `check` the errors are not computed, and are NaN.
         """
         if f.ndim == 1:
-            u = self.lu.solve(f)
+            u = self.precondition(f)
         else:
             u = np.empty(f.shape, order="F")
             # as wide as another: ten are five and five, for two threads
             strips = shares(f.shape[1], STRIP)
 
             def strip(i: int) -> None:
-                u[:, strips[i]] = self.lu.solve(np.asfortranarray(f[:, strips[i]]))
+                u[:, strips[i]] = self.precondition(np.asfortranarray(f[:, strips[i]]))
 
-            if len(strips) < (2 if len(f) >= LARGE else MANY) or not self.threads:
+            if self._dense:
+                together(strip, len(strips))
+            else:
                 for i in range(len(strips)):
                     strip(i)
-            else:
-                together(strip, len(strips))
         if not check:
             return u, 0, np.full(f.shape[1:], np.nan)
         error = backward_error(self.K, self.size, u, f)
