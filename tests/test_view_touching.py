@@ -260,3 +260,23 @@ def test_a_far_frame_costs_what_a_near_one_does(large, grip):
     for k in range(100):
         touching.drag((1e-3 * k, 0, 0))
     assert (time.process_time() - began) / 100 < 1 / 60
+
+
+def test_a_hand_that_turns_freely_comes_to_balance_in_few_equilibria(large, grip):
+    touching = Touching(large)
+    touching.hold(grip)
+    touching.drag((0.05, 0.0, -0.12))
+    torques = []
+    for _ in range(4):
+        solve = touching.correction()
+        if solve is None:
+            break
+        touching.correct(solve())
+        hand = touching._following
+        at = large.mesh.points[grip] + hand.state.displacement[grip]
+        felt = (hand.state.force - hand.rest.force)[grip]
+        torques.append(np.linalg.norm(np.cross(at - at.mean(axis=0), felt).sum(axis=0)))
+    assert touching.correction() is None
+    # forces within the patch turn with it; taken for fixed, this torque is three times as large
+    assert len(torques) == 2
+    assert torques[1] < 0.06 * torques[0]

@@ -37,7 +37,7 @@ PORT = 8080
 FASTEST = 1 / 60  # [s] between two frames: what screens show
 SLOW = 1 / 12  # [s] between words and colours that change in a drag; the shape goes at once
 AIM = 0.015  # [rad] by which a click may miss the plant: some ten pixels
-TRIES = 6  # equilibria for one place of the hand, which turns with each
+TRIES = 10  # equilibria for one place of the hand, which turns with each
 REST = 0.25  # [s] without a job until what costs more than a frame is told
 DEFAULT = Material(6e9, 0.35, 900.0)
 
@@ -80,8 +80,8 @@ class Viewer:
         self._goal: Goal | None = None
         self._heard = 0.0  # when the page last told of a drag
         self._burden: Burden | None = None
-        self._balancing: Touching | None = None  # for which an equilibrium is solved for
-        self._tries = 0
+        self.balancing: Touching | None = None  # for which an equilibrium is solved for
+        self.tries = TRIES  # for balance, that are left at this place of the hand
         self._lock = threading.Lock()
         self._trace: list[tuple[float, float]] = []
         self._spoke = self._typical = 0.0
@@ -270,7 +270,7 @@ class Viewer:
             if self._goal is not None:
                 self._jobs.put(self._follow)
         began = time.perf_counter()
-        self._met, self._tries = goal.first(self._met), 0
+        self._met, self.tries = goal.first(self._met), TRIES
         self._draw(self.touching.drag(self._met.shift, self._met.turn))
         self.frame_seconds = time.perf_counter() - began
         self.frames += 1
@@ -295,10 +295,10 @@ class Viewer:
     def _balance(self) -> None:
         """Solve for balance beside the frames, where they run ahead of it."""
         touching = self.touching
-        solve = None if self._balancing is touching else touching.correction()
-        if solve is None or self._tries >= TRIES:
+        solve = None if self.balancing is touching else touching.correction()
+        if solve is None or self.tries <= 0:
             return
-        self._balancing, self._tries = touching, self._tries + 1
+        self.balancing, self.tries = touching, self.tries - 1
 
         def run() -> None:
             try:
@@ -312,13 +312,13 @@ class Viewer:
         threading.Thread(target=run, name="plantsim balance", daemon=True).start()
 
     def _balanced(self, touching: Touching, found: Balance | None) -> None:
-        if self._balancing is touching:
-            self._balancing = None
+        if self.balancing is touching:
+            self.balancing = None
         if touching is not self.touching or found is None:
             return
         if not found.whole:
             self.panel.complain("The plant cannot be bent so far. Let the hand come back.")
-            self._tries = TRIES
+            self.tries = 0
         self._draw(touching.correct(found))
         self._balance()
 

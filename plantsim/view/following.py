@@ -45,7 +45,7 @@ class Following:
         now = points[self.ids] + state.displacement[self.ids]
         arm = now - now.mean(axis=0)
         step = middle + shift - now.mean(axis=0)
-        angle = relief(arm, self.near.stiffness, step, self._felt())
+        angle = relief(arm, self.near.stiffness, step, self._felt(), carried=True)
         turned = Rotation.from_rotvec(angle).apply(arm)
         return now.mean(axis=0) + step + turned - points[self.ids]
 
@@ -85,17 +85,23 @@ class Following:
         self.near = near
 
 
-def relief(arm: Array, stiffness: Array, shift: Array, force: Array) -> Array:
+def relief(
+    arm: Array, stiffness: Array, shift: Array, force: Array, *, carried: bool = False
+) -> Array:
     """Return the small turn [rad] that lets a patch feel no torque when it is shifted.
 
     `arm` (k, 3): from its middle to its vertices; `force` (k, 3): what it feels already. A
-    point or a line cannot feel all turns: the least of those that do.
+    point or a line cannot feel all turns: the least of those that do. `carried`: the arms
+    turn too, so that forces within the patch, which turn with it, make no torque; linear
+    theory keeps the arms of rest.
     """
     turns = np.stack([np.cross(axis, arm) for axis in np.eye(3)], axis=2).reshape(-1, 3)
     together = np.tile(np.eye(3), (len(arm), 1))
-    torque = turns.T @ (force.ravel() + stiffness @ (together @ shift))
-    back = np.linalg.pinv(turns.T @ stiffness @ turns, rcond=1e-9, hermitian=True)
-    return -back @ torque
+    after = force.ravel() + stiffness @ (together @ shift)
+    slope = turns.T @ stiffness @ turns
+    if carried:  # (turn x arm) x force, of what is felt: a far shift's forces are a guess
+        slope = slope + arm.T @ force - np.einsum("ij,ij->", arm, force) * np.eye(3)
+    return -np.linalg.pinv(slope, rcond=1e-9, hermitian=not carried) @ (turns.T @ after)
 
 
 def _prepared(state: Equilibrium, ids: Array) -> NearContact:

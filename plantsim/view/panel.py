@@ -114,7 +114,8 @@ class Panel:
             rate = f"; {1 / seconds:.0f} frames/s at most" if seconds else ""
             turned = "&nbsp;"
             if not frame.exact:
-                turned = "*solving for balance ...*"
+                on = self._viewer.tries > 0 or self._viewer.balancing is not None
+                turned = "*solving for balance ...*" if on else "*near balance: move on*"
             elif rotation is not None:
                 turned = f"turned {np.degrees(rotation):.2g} degrees"
                 if self._viewer.touching.linear and rotation > LINEAR_LIMIT:
