@@ -71,9 +71,9 @@ class Small:
             return blocks.forces(tets, u)
         # straight edges and linear shape functions: one constant gradient
         G, v = blocks.gradient, blocks.volume
-        grad = np.einsum("eai,eaj->eij", u[tets], G)
+        grad = u[tets].transpose(0, 2, 1) @ G
         strain = (grad + grad.transpose(0, 2, 1)) * v[:, None, None]
-        mu = np.einsum("eij,eaj->eai", strain, G)
+        mu = G @ strain  # which is symmetric
         lam = (v * np.trace(grad, axis1=1, axis2=2))[:, None, None] * G
         return mu, lam
 

@@ -36,7 +36,7 @@ T = TypeVar("T")
 # of du (free, k) [m] and df of k cases, a slice of all, makes what is to be pulled back
 Weigh = Callable[[slice, Array, list[Array]], tuple[Array, list[Array]]]
 ACCEPTED = 1e-8  # backward error of an equilibrium
-MANY = 96  # columns that are solved for at a time
+MANY = 12  # columns that are solved for at a time: more leave the caches
 LARGE = 5_000  # unknowns from which on shares of the cases are worth a thread each
 
 
