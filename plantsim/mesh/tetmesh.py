@@ -170,23 +170,7 @@ class TetMesh:
 
         Both (4 m,).
         """
-        corners = np.ascontiguousarray(self.tets[:, :4].T)
-        a, b, c = (corners[side] for side in FACES.T)  # (4, m) each
-        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-        n = len(self.points)
-        key, high = (low * n + (a + b + c - low - high)).T.ravel(), high.T.ravel()
-        if n < 2_000_000:  # else three ids overflow one key
-            key = key * n + high
-            order = np.argsort(key)  # not stable, which is four times slower
-            key = key[order]
-            new = np.append(True, key[1:] != key[:-1])
-            same = np.flatnonzero(~new)
-            pair = order[same - 1], order[same]
-            order[same - 1], order[same] = np.minimum(*pair), np.maximum(*pair)
-            return order, new
-        order = np.lexsort((high, key))
-        new = np.diff(key[order], prepend=-1) != 0
-        return order, new | (np.diff(high[order], prepend=-1) != 0)
+        return face_order(self.tets, len(self.points))
 
     @cached_property
     def _places(self) -> Array:
@@ -236,12 +220,13 @@ class TetMesh:
         """Mask (m,) of the tets with a midside node off the middle of its edge."""
         if self.order == 1:
             return np.zeros(len(self.tets), dtype=bool)
-        x = self.points[self.tets]
-        ends = x[:, EDGES]
-        off = ((x[:, 4:] - ends.mean(axis=2)) ** 2).sum(axis=2)
-        return (off > 1e-18 * ((ends[:, :, 1] - ends[:, :, 0]) ** 2).sum(axis=2)).any(
-            axis=1
-        )
+        x = self._corners
+        out = np.zeros(len(self.tets), dtype=bool)
+        for (a, b), middle in zip(EDGES, self.tets.T[4:], strict=True):
+            off = self.points[middle].T - (x[:, a] + x[:, b]) / 2
+            side = x[:, b] - x[:, a]
+            out |= (off**2).sum(axis=0) > 1e-18 * (side**2).sum(axis=0)
+        return out
 
     @cached_property
     def neighbours(self) -> Array:
@@ -354,8 +339,9 @@ def quadratic(points: Array, tets: Array) -> tuple[Array, Array, Array]:
     `tets` (m, 4). The middle of edge i is point len(points) + i.
     """
     n = len(points)
-    ends = np.sort(tets[:, EDGES].reshape(-1, 2), axis=1)
-    key, where = np.unique(ends @ [n, 1], return_inverse=True)
+    a, b = tets.T[EDGES.T]  # (6, m) each
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    key, where = np.unique((low * n + high).T, return_inverse=True)
     edges = np.stack(np.divmod(key, n), axis=1)
     middles = points[edges].mean(axis=1)
     return np.vstack([points, middles]), np.hstack([tets, n + where.reshape(-1, 6)]), edges
@@ -372,8 +358,32 @@ def boundary(tets: Array, places: Array | None = None) -> Array:
 
 def boundary_places(tets: Array) -> Array:
     """Return the places (k,), tet times four and face, of the outer triangles."""
-    first, count = unique_rows(np.sort(tets[:, FACES].reshape(-1, 3), axis=1))
-    return np.sort(first[count == 1])
+    order, new = face_order(tets, int(tets.max()) + 1)
+    alone = new & np.append(new[1:], True)
+    return np.sort(order[alone])
+
+
+def face_order(tets: Array, n: int) -> tuple[Array, Array]:
+    """Return faces (tet times four and number) by vertices; which differ from the last.
+
+    Both (4 m,), ids of vertices being below n.
+    """
+    corners = np.ascontiguousarray(tets[:, :4].T)
+    a, b, c = (corners[side] for side in FACES.T)  # (4, m) each
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    key, high = (low * n + (a + b + c - low - high)).T.ravel(), high.T.ravel()
+    if n < 2_000_000:  # else three ids overflow one key
+        key = key * n + high
+        order = np.argsort(key)  # not stable, which is four times slower
+        key = key[order]
+        new = np.append(True, key[1:] != key[:-1])
+        same = np.flatnonzero(~new)
+        pair = order[same - 1], order[same]
+        order[same - 1], order[same] = np.minimum(*pair), np.maximum(*pair)
+        return order, new
+    order = np.lexsort((high, key))
+    new = np.diff(key[order], prepend=-1) != 0
+    return order, new | (np.diff(high[order], prepend=-1) != 0)
 
 
 def compact(
@@ -389,16 +399,3 @@ def compact(
 
 def _two(x: Array) -> tuple[Array, Array]:
     return x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
-
-
-def unique_rows(rows: Array) -> tuple[Array, Array]:
-    """Return first index and count of each distinct row of a non-negative int array."""
-    n = int(rows.max()) + 1
-    if n ** rows.shape[1] >= 2**63:  # too many for one key
-        _, first, count = np.unique(rows, axis=0, return_index=True, return_counts=True)
-        return first, count
-    key = rows[:, 0].astype(np.int64)
-    for column in rows.T[1:]:
-        key = key * n + column
-    _, first, count = np.unique(key, return_index=True, return_counts=True)
-    return first, count

@@ -31,9 +31,10 @@ def topology(mesh: TetMesh) -> Topology:
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
     faces = mesh.surface[:, :3].astype(np.int64)
     sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(sides.T)
+    key = sides[:, 0] * len(mesh.points) + sides[:, 1]
+    order = np.argsort(key, kind="stable")
     ranked = sides[order]
-    edge = np.cumsum(np.r_[0, (ranked[1:] != ranked[:-1]).any(axis=1)])
+    edge = np.cumsum(np.r_[0, key[order][1:] != key[order][:-1]])
     times = np.bincount(edge)
     first = np.searchsorted(edge, np.arange(len(times)))
     pairs = order[first[times == 2][:, None] + [0, 1]]  # places: face times three and side
@@ -50,10 +51,12 @@ def topology(mesh: TetMesh) -> Topology:
     vertex[umbrella] = corners
     ids, fans = np.unique(vertex, return_counts=True)
     shell = pieces(len(faces), pairs // 3)
+    edge_of = np.empty_like(edge)
+    edge_of[order] = edge
     euler = []
     for k in range(shell.max() + 1):
         mine = shell == k
         v = len(np.unique(umbrella.reshape(-1, 3)[mine]))
-        e = len(np.unique(sides.reshape(-1, 3, 2)[mine].reshape(-1, 2), axis=0))
+        e = len(np.unique(edge_of.reshape(-1, 3)[mine]))
         euler.append(int(v - e + mine.sum()))
     return Topology(rank[joined], tuple(euler), ranked[first[times != 2]], ids[fans > 1])

@@ -17,8 +17,9 @@ def crossings(points: Array, faces: Array) -> Array:
     out = np.zeros(len(points), dtype=bool)
     if len(faces) < 2:
         return out
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges = np.unique(sides, axis=0)
+    other = np.roll(faces, -1, axis=1)
+    keys = np.minimum(faces, other) * len(points) + np.maximum(faces, other)
+    edges = np.stack(np.divmod(np.unique(keys), len(points)), axis=1)
     x = points[edges]
     k = min(NEIGHBOURS, len(faces))
     near = KDTree(points[faces].mean(axis=1)).query(x.mean(axis=1), k)[1]

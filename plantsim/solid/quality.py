@@ -82,16 +82,17 @@ def _move(
     """Move vertex v to the best of 48 random places if the worst tet of its star gains."""
     x = points[star]
     mine = star == v
-    edge = np.median(np.linalg.norm(x - points[v], axis=2)[~mine])
+    edges = np.sort(np.linalg.norm(x - points[v], axis=2)[~mine])
+    edge = (edges[(len(edges) - 1) // 2] + edges[len(edges) // 2]) / 2  # their median
     step = rng.normal(size=(48, 3)) * (
         amplitude * edge * rng.uniform(0.1, 1, (48, 1)) / 1.7
     )
     step -= (step @ normal)[:, None] * normal
-    trial = np.repeat(x[None], 48, axis=0)
-    trial[:, mine] = points[v] + step[:, None]
+    trial = np.repeat(x[None], 49, axis=0)  # the last stays as it is
+    trial[:48, mine] = points[v] + step[:, None]
     worst = gamma(trial).min(axis=1)
     best = int(worst.argmax())
-    if worst[best] > gamma(x).min():
+    if worst[best] > worst[48]:
         points[v] += step[best]
 
 

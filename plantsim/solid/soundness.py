@@ -45,8 +45,11 @@ def check_sound(solid: Solid, mesh: TetMesh) -> int:
             f"the surface has {len(found.euler)} closed pieces, so there is a hollow "
             "inside. Move limbs that enclose a gap apart."
         )
-    for i, tube in enumerate(solid.tubes):
-        corners = np.unique(mesh.tets[mesh.region == i, :4])
+    region = np.asarray(mesh.region)
+    order = np.argsort(region, kind="stable")
+    cuts = np.searchsorted(region[order], np.arange(1, len(solid.tubes)))
+    for tube, mine in zip(solid.tubes, np.split(order, cuts), strict=True):
+        corners = np.unique(mesh.tets[mine, :4])
         end = np.linalg.norm(mesh.points[corners] - tube.axis(1.0), axis=1)
         if not len(corners) or end.min() > 1.5 * tube.radius(1.0):
             raise MeshError(
