@@ -113,6 +113,10 @@ def test_bad_input_is_one_sentence(beam, tmp_path):
     refused("mesh", beam, "--size", "0.5", says="mesh already")
 
 
+def test_a_species_given_for_a_mesh_is_told_how_to_grow():
+    refused("view", "apple", says="plantsim view --species apple")
+
+
 def test_json_for_machines(beam, tmp_path):
     done = run("mesh", beam, "--out", tmp_path / "b.vtu", "--json")
     assert done.returncode == 0, done.stderr

@@ -9,7 +9,7 @@ import typer
 
 import plantsim as ps
 from plantsim.cli.app import Json, app, ids_from, reporting, species_like, working
-from plantsim.errors import DependencyError
+from plantsim.errors import DependencyError, ModelError
 from plantsim.paths import writable
 
 
@@ -55,6 +55,11 @@ def view(
         # a wrong suffix is told now, not on the page
         writable(touches, ".h5", ".hdf5", ".npz")
     material = ps.Material(young, poisson, density)
+    if source is not None and str(source) in ps.species_names() and not source.exists():
+        raise ModelError(
+            f"{source} is a species, and here a mesh's file is asked for. To grow one: "
+            f"plantsim view --species {source}"
+        )
     if source is not None:
         mesh, name, masses = ps.read_mesh(source), source.name, None
     else:
