@@ -197,6 +197,8 @@ def test_every_value_of_the_chain_has_a_picture(state, found, tmp_path):
     assert pixels(drawn["found"], style.MOVED) > 30
     with pytest.raises(ps.ModelError, match="mesh that was touched"):
         touch.plot(ps.tetrahedralize(ps.sweep(skeleton), 2.0, order=1), tmp_path / "a.png")
+    with pytest.raises(ps.ModelError, match="touch.plot\\(mesh"):
+        touch.plot(tmp_path / "a.png")
 
 
 def test_what_a_picture_of_an_estimate_shows(found):

@@ -89,6 +89,11 @@ def _forces(at: Array, f: Array, span: float) -> tuple[Any, dict[str, Any]]:
 
 def touch_scene(mesh: TetMesh, touch: Observation, scale: float) -> Scene:
     """Return what a robot saw and felt: dots where vertices were seen to go, arrows."""
+    if not isinstance(mesh, TetMesh):
+        raise ModelError(
+            f"a touch is drawn on a mesh, not on {mesh!r}. Give the mesh that was touched "
+            "first: touch.plot(mesh, 'touch.png')."
+        )
     ids = np.concatenate([touch.moved, touch.seen, touch.loaded])
     if len(ids) and ids.max() >= len(mesh.points):
         raise ModelError(
