@@ -133,6 +133,7 @@ def apart(skeleton: ps.Skeleton) -> dict[str, Any]:
         "volume": round(volume[1] / volume[0] - 1, 5),
         "tip": round(float(off[size[0].argmax()]), 5),
         "worst_tip": round(float(off[np.abs(off).argmax()]), 5),
+        "worst_of_all": round(float(np.abs(size[1] - size[0]).max() / size[0].max()), 5),
     }
 
 
@@ -319,9 +320,14 @@ def table(log: Log) -> None:
     ratios(log)
     rows = [r for r in log.rows if r["section"] == "agree"]
     if rows:
-        print("\n| species | limbs | volume | farthest tip | worst tip |\n|" + "---|" * 5)
+        print(
+            "\n| species | limbs | volume | farthest tip | worst of it | worst tip |\n|"
+            + "---|" * 6
+        )
     for r in rows:
-        parts = [f"{100 * r[k]:+.2f} %" for k in ("volume", "tip", "worst_tip")]
+        parts = [
+            f"{100 * r[k]:+.2f} %" for k in ("volume", "tip", "worst_of_all", "worst_tip")
+        ]
         print(f"| {r['plant']} | {r['limbs']} | {' | '.join(parts)} |")
     rows = [r for r in log.rows if r["section"] == "repeat"]
     if rows:

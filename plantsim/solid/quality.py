@@ -17,6 +17,7 @@ from plantsim.mesh.tetmesh import (
 )
 from plantsim.solid.sweep import Solid, Tube
 
+ON = 0.05  # radii by which the ends of an edge on a limb's surface differ at most
 TURNS, TANGENTIAL = 25, 10  # of repair, in all and keeping to the tangent planes
 
 
@@ -101,10 +102,10 @@ def curve(
 ) -> tuple[Array, int]:
     """Return points with the surface's middles on the tubes, and the tets held back.
 
-    Tets (m, 10) with straight edges. An edge of the surface whose ends belong to one limb
-    has its middle moved radially to the mean of its ends' distances from the axis, in
-    radii; edges within a flat end stay. Where a tet would fold, the middles of its edges go
-    back by halves. `owner`: the limb of each corner where it is known, else -1.
+    Tets (m, 10) with straight edges. An edge of the surface whose ends are on one limb has
+    its middle moved radially to the mean of its ends' distances from the axis, in radii;
+    edges within a flat end stay. Where a tet would fold, the middles of its edges go back
+    by halves. `owner`: the limb of each corner where it is known, else -1.
     """
     surface = boundary(tets)
     corners, faces = np.unique(surface[:, :3], return_inverse=True)
@@ -120,10 +121,11 @@ def curve(
     known = limb >= 0
     ratio[known] = on_axis(solid, points[corners[known]], limb[known])[1]
     limb[~known], ratio[~known], _, _ = on_axis(solid, points[corners[~known]])
-    same = limb[ends[:, 0]] == limb[ends[:, 1]]
-    middle, ends = middle[same], ends[same]
-    _, now, foot, _ = on_axis(solid, points[middle], limb[ends[:, 0]])
-    stretch = ratio[ends].mean(axis=1) / now
+    limb, wanted = _limb_of_edges(solid, points[corners], ends, limb, ratio)
+    known = limb >= 0
+    middle, ends, limb, wanted = (part[known] for part in (middle, ends, limb, wanted))
+    _, now, foot, _ = on_axis(solid, points[middle], limb)
+    stretch = wanted / now
     target = points.copy()
     target[middle] = foot + (points[middle] - foot) * stretch[:, None]
     # the rim of a level foot stays level
@@ -132,6 +134,30 @@ def curve(
     way = solid.tubes[0].tangent(0.0)
     target[rim] -= ((target[rim] - centre) @ normal / (way @ normal))[:, None] * way
     return _unfold(target, points, tets)
+
+
+def _limb_of_edges(
+    solid: Solid, points: Array, ends: Array, limb: Array, ratio: Array
+) -> tuple[Array, Array]:
+    """Return the limb that each edge (k, 2) is on, or -1, and its ends' mean ratio there.
+
+    `limb`, `ratio`: of points; at a joint, where two limbs are as near, they say either.
+    So an edge between two limbs is on the one that both its ends are on; if that is so of
+    both, on the thinner, from whose round it is farther.
+    """
+    out = limb[ends[:, 0]].copy()
+    mean = ratio[ends].mean(axis=1)
+    mixed = np.flatnonzero(out != limb[ends[:, 1]])
+    out[mixed] = -1
+    thinnest = np.full(len(mixed), np.inf)
+    for one, other in ((0, 1), (1, 0)):
+        a, b = ends[mixed, one], ends[mixed, other]
+        _, there, _, radius = on_axis(solid, points[b], limb[a])
+        fits = (np.abs(there - ratio[a]) < ON) & (radius < thinnest)
+        out[mixed[fits]] = limb[a[fits]]
+        mean[mixed[fits]] = ((there + ratio[a]) / 2)[fits]
+        thinnest[fits] = radius[fits]
+    return out, mean
 
 
 def _unfold(target: Array, straight: Array, tets: Array) -> tuple[Array, int]:

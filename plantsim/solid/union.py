@@ -28,6 +28,7 @@ from plantsim.solid.sweep import Solid
 # radii smaller by this share make up for half of that
 STIFFER = 0.002
 EDGE = 1.1  # of the joints [edges around the thinner limb]
+THICK, FINER = 3.0, 0.7  # a limb that many times thinner has a joint with shorter edges
 GRADING = 1.4  # growth of edges away from a joint
 SHORT = 1e-3  # edges of the union below this share of the thinnest edge are collapsed
 # rings of triangles about a joint that are meshed anew, by attempt
@@ -97,7 +98,8 @@ def mended(
     The new vertices lie on the flat sides of the rings' polygons; they are moved out onto
     the tubes, or the section would lose up to an eighth.
     """
-    radius, free = _thinnest(solid, union)
+    radius, thickest, free = _radii(solid, union)
+    radius[free & (thickest > THICK * radius)] *= FINER
     for _ in range(zone):
         hit = free[union.faces].any(axis=1)
         free[union.faces[hit]] = True
@@ -154,18 +156,19 @@ def _turned(before: Array, after: Array, faces: Array) -> Array:
     return (n * m).sum(axis=1) < FOLD * size
 
 
-def _thinnest(solid: Solid, union: Skin) -> tuple[Array, Array]:
-    """Return the thinnest radius [m] at each point, and a mask of the joints' points."""
+def _radii(solid: Solid, union: Skin) -> tuple[Array, Array, Array]:
+    """Return the least and greatest radius [m] at each point, and a mask of the joints'."""
     n = len(union.points)
     vertex, limb = union.pairs
-    radius = np.full(n, np.inf)
+    least, greatest = np.full(n, np.inf), np.zeros(n)
     for i, tube in enumerate(solid.tubes):
         mine = vertex[limb == i]
         if len(mine):
             at = KDTree(tube.axis(tube.stations)).query(union.points[mine])[1]
             r = tube.radius(tube.stations)[at]
-            radius[mine] = np.minimum(radius[mine], r)
-    return radius, np.bincount(vertex, minlength=n) > 1
+            least[mine] = np.minimum(least[mine], r)
+            greatest[mine] = np.maximum(greatest[mine], r)
+    return least, greatest, np.bincount(vertex, minlength=n) > 1
 
 
 Finish = Callable[[Array, Array, tuple[Array, Array]], TetMesh]
