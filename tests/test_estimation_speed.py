@@ -1,5 +1,8 @@
 """What makes an estimate fast leaves its numbers as they are."""
 
+import os
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -109,3 +112,19 @@ def test_a_step_remembered_is_found_again_at_once(objective):
     again, fewer = direction_of(here, g, memory, 200, 1e-3)
     assert fewer < count / 3
     assert g @ again == pytest.approx(g @ first, rel=1e-3)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_threads_work_in_a_forked_process():
+    """The parent's threads are not there, though its pool says so."""
+    assert threads.together(abs, 4) == [0, 1, 2, 3]
+    script = (
+        "import os, signal\n"
+        "from plantsim.solve.threads import together\n"
+        "together(abs, 4)\n"
+        "if os.fork() == 0:\n"
+        "    signal.alarm(20)\n"
+        "    os._exit(together(abs, 4) != [0, 1, 2, 3])\n"
+        "raise SystemExit(os.wait()[1])\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)

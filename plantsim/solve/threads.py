@@ -42,3 +42,7 @@ def shares(count: int, most: int, least: int = 1) -> list[slice]:
 @cache
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(min(4, os.cpu_count() or 1), NAME)
+
+
+if hasattr(os, "register_at_fork"):  # threads do not live on in a forked process
+    os.register_at_fork(after_in_child=_pool.cache_clear)
