@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import plantsim as ps
+from plantsim.datasets.recipe import Kind, Meshing, Touching
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -49,3 +50,11 @@ def cube() -> ps.TetMesh:
     paths = [(1, 3), (3, 2), (2, 6), (6, 4), (4, 5), (5, 1)]
     tets = np.array([[0, a, b, 7] for a, b in paths])
     return ps.TetMesh(corners, tets, sets={"base": np.arange(4)})
+
+
+@pytest.fixture(scope="session")
+def recipe() -> ps.Recipe:
+    """Crowns of strawberries, order 1, no touches: a tenth of a second a plant."""
+    kind = Kind("strawberry", ps.species("strawberry"), levels=1)
+    touch = Touching(touches=1, steps=1, seen=20)
+    return ps.Recipe(plants=8, species=(kind,), mesh=Meshing(order=1), touch=touch)

@@ -64,7 +64,7 @@ def conjugate_step(
     good. Without BLAS, as `solve.stats.norm`.
     """
     x, r = np.zeros_like(g), -g
-    P, HP = np.empty((2, most, len(g)))
+    P, HP = (np.empty((most, len(g))) for _ in range(2))  # apart: P alone is remembered
     window = LATELY if np.isfinite(dear) else 1
     least = RESIDUAL**2 * _dot(g, g)
     gains: list[float] = []

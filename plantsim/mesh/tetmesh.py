@@ -65,9 +65,10 @@ class TetMesh:
                 "would make the system singular. Drop them: read_mesh(path, "
                 "drop_unused=True)."
             )
-        if (self._faces[1] > 2).any():
+        times = np.diff(np.flatnonzero(np.append(self._face_order[1], True)))
+        if (times > 2).any():
             raise MeshError(
-                f"{int((self._faces[1] > 2).sum())} faces belong to three tets or more, "
+                f"{int((times > 2).sum())} faces belong to three tets or more, "
                 "so tets are there twice or overlap. Take each once."
             )
         region = np.zeros(len(tets), int) if self.region is None else self.region
@@ -158,13 +159,6 @@ class TetMesh:
         return gamma(self.points[self.tets[:, :4]])
 
     @cached_property
-    def _faces(self) -> tuple[Array, Array]:
-        """First place (of tet times four and face) and count of each distinct face."""
-        order, new = self._face_order
-        start = np.flatnonzero(new)
-        return order[start], np.diff(np.append(start, len(order)))
-
-    @cached_property
     def _face_order(self) -> tuple[Array, Array]:
         """Faces (tet times four and number) by their vertices; which differ from the last.
 
@@ -174,8 +168,7 @@ class TetMesh:
 
     @cached_property
     def _places(self) -> Array:
-        first, count = self._faces
-        return np.sort(first[count == 1])
+        return boundary_places(self._face_order)
 
     @cached_property
     def surface(self) -> Array:
@@ -349,18 +342,21 @@ def quadratic(points: Array, tets: Array) -> tuple[Array, Array, Array]:
 
 def boundary(tets: Array, places: Array | None = None) -> Array:
     """Return the outer triangles (k, 3 | 6) of tets, outward, in the order of the tets."""
-    places = boundary_places(tets) if places is None else places
+    if places is None:
+        places = boundary_places(face_order(tets, int(tets.max()) + 1))
     corners = tets[:, FACES].reshape(-1, 3)[places]
     if tets.shape[1] == 4:
         return corners
     return np.hstack([corners, tets[:, FACE_MIDS].reshape(-1, 3)[places]])
 
 
-def boundary_places(tets: Array) -> Array:
-    """Return the places (k,), tet times four and face, of the outer triangles."""
-    order, new = face_order(tets, int(tets.max()) + 1)
-    alone = new & np.append(new[1:], True)
-    return np.sort(order[alone])
+def boundary_places(faces: tuple[Array, Array]) -> Array:
+    """Return the places (k,), tet times four and face, of the outer triangles.
+
+    Those that `face_order` has once.
+    """
+    order, new = faces
+    return np.sort(order[new & np.append(new[1:], True)])
 
 
 def face_order(tets: Array, n: int) -> tuple[Array, Array]:

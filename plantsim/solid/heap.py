@@ -44,6 +44,9 @@ def glibc() -> ctypes.CDLL | None:
 def fresh_heap() -> Iterator[Callable[[], None]]:
     """Let what is asked for inside lie in order, on zeros, and large arrays by themselves.
 
+    From the call of the function that is yielded on: what shall stay small and low, as
+    gmsh's own start, comes before that, and what is asked for is let go of before the end.
+
     Where recovering a surface takes a further point, HXT (gmsh 4.15.2) reads and writes one
     or two values beyond arrays of one value a vertex or triangle (valgrind shows it, also
     without its optimisation). On a used heap this makes meshes that differ from run to run,

@@ -12,6 +12,7 @@ from plantsim.mesh.tetmesh import (
     INNER,
     boundary,
     boundary_places,
+    face_order,
     gamma,
     jacobians,
 )
@@ -218,7 +219,7 @@ def limb_sets(solid: Solid, points: Array, tets: Array, region: Array) -> dict[s
     "tips": the flat ends of limbs cut flat, the rounded caps of others; limbs that carry
     another at their tip have none.
     """
-    places = boundary_places(tets)
+    places = boundary_places(face_order(tets, len(points)))
     faces, behind = boundary(tets, places), region[places // len(FACES)]
     outer = np.unique(faces)
     tips = np.zeros(len(outer), dtype=bool)
