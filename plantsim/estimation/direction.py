@@ -2,6 +2,7 @@
 
 An iteration of CG takes two back-solves a case, the whole Hessian one a case and column.
 So one is made for few columns, and preconditions CG at later iterates until it is worn.
+Many right-hand sides at once cost a third each of ten, so few cases have it made anew.
 """
 
 from collections.abc import Callable
@@ -30,7 +31,7 @@ def direction_of(
     """Return the Gauss-Newton step, and the CG iterations it took, `most` at most."""
     p, q = len(g), here.chart.columns.shape[1]
     if q <= FEWER or (q <= FEW and (memory.whole is None or memory.worn)):
-        memory.whole, memory.worn = here.dense_hessian, False
+        memory.whole, memory.worn = here.dense_hessian, memory.fresh
         memory.clear()
         return -np.linalg.solve(here.dense_hessian / here.temper + np.eye(p), g), 0
 
@@ -96,9 +97,12 @@ class Memory:
     limited memory quasi-Newton updating.
     """
 
-    def __init__(self, pairs: int = PAIRS) -> None:
-        """Keep up to so many pairs of a direction v and the misfit's Hessian A v."""
-        self.pairs = pairs
+    def __init__(self, pairs: int = PAIRS, *, fresh: bool = False) -> None:
+        """Keep up to so many pairs of a direction v and the misfit's Hessian A v.
+
+        `fresh`: a whole Hessian serves one iteration.
+        """
+        self.pairs, self.fresh = pairs, fresh
         self.kept: list[tuple[Array, Array]] = []
         self.whole: Array | None = None  # the Hessian of an earlier iterate, if made
         self.worn = False  # whether that serves no more

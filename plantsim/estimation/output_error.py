@@ -35,7 +35,8 @@ HALVINGS = 12
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 DEAR = 25.0  # times what is enough to stop at: that rule counts no larger gains
 FIRST = 3  # touches that lead the way
-ROUGH = 10.0  # times the tolerance at which they stop
+QUICK = 16.0  # COOLING of theirs
+ROUGH = 100.0  # times the tolerance at which they stop
 BRIEF = 12  # iterations that they have
 EXPLAINED = 4.0  # misfit over noise, squared, above which they would mislead
 STRAIGHT = 0.5  # of the forecast decrease: less, and a step is bent
@@ -189,7 +190,7 @@ def solve(
             tolerance=min(ROUGH * options.tolerance, 0.1),
             iterations=min(BRIEF, options.iterations),
         )
-        there, why_not = _descend(_first(model, chart, few), rough, track)
+        there, why_not = _descend(_first(model, chart, few), rough, track, few=True)
         if not why_not and 2 * there.misfit < EXPLAINED * there.readings:
             start = there.xi
     if start is None:
@@ -229,13 +230,19 @@ class _Track:
             self.progress(self.path[-1])
 
 
-def _descend(here: Objective, options: Options, track: _Track) -> tuple[Objective, str]:
-    """Return the objective at the minimum found from here, and why it is none, or ""."""
-    memory = Memory()
+def _descend(
+    here: Objective, options: Options, track: _Track, few: bool = False
+) -> tuple[Objective, str]:
+    """Return the objective at the minimum found from here, and why it is none, or "".
+
+    `few`: of few touches, roughly, for others to begin from.
+    """
+    memory = Memory(fresh=few)
+    cooling = QUICK if few else COOLING
     change, share, inner = 0.0, 1.0, 0
     temper = np.inf
     for count in range(options.iterations + 1):
-        temper = max(1.0, min(temper / COOLING, 2 * here.misfit / here.readings))
+        temper = max(1.0, min(temper / cooling, 2 * here.misfit / here.readings))
         here.temper = temper
         g = here.gradient()
         size = float(np.linalg.norm(g))

@@ -28,7 +28,9 @@ from plantsim.arrays import Array
 from plantsim.elastic.model import ElasticModel
 from plantsim.errors import EstimateError, SolverError
 from plantsim.estimation.cases import Case
-from plantsim.solve.direct import STRIP
+from plantsim.solve.direct import STRIP, Direct
+from plantsim.solve.sections import WIDE, Layout, Sections
+from plantsim.solve.solver import Factor, choose
 from plantsim.solve.stats import norm
 from plantsim.solve.threads import shares, together
 
@@ -36,7 +38,7 @@ T = TypeVar("T")
 # of du (free, k) [m] and df of k cases, a slice of all, makes what is to be pulled back
 Weigh = Callable[[slice, Array, list[Array]], tuple[Array, list[Array]]]
 ACCEPTED = 1e-8  # backward error of an equilibrium
-MANY = 12  # columns that are solved for at a time: more leave the caches
+MANY = 12  # columns that are solved for at a time by a sparse factor
 LARGE = 5_000  # unknowns from which on shares of the cases are worth a thread each
 
 
@@ -148,8 +150,11 @@ class LinearResponse(Response):
     ) -> None:
         """Factor K and solve for every case."""
         super().__init__(model, cases, like)
-        _, self._factor = model.base_factor()
+        self._factor, self._layout = _factor(model, self.free, like)
         self._threads = self._threads and self._factor.threads
+        self._many = MANY
+        if isinstance(self._factor, Sections):
+            self._shares, self._many = shares(len(cases), WIDE), WIDE
         self._columns = self._compliance()
         self._inverse = [
             self._positive(Y[at]) if len(at) else np.zeros((0, 0))
@@ -189,8 +194,8 @@ class LinearResponse(Response):
         where = [np.searchsorted(at, own) for own in self._at]
         nf = 3 * len(self.free)
         out = [np.empty((nf, len(own)), order="F") for own in self._at]
-        for start in range(0, len(at), MANY):
-            part = at[start : start + MANY]
+        for start in range(0, len(at), self._many):
+            part = at[start : start + self._many]
             E = np.zeros((nf, len(part)), order="F")
             E[part, np.arange(len(part))] = 1
             Y = self.solve(E)
@@ -261,6 +266,18 @@ class LinearResponse(Response):
         at = self._at[t]
         df = self._inverse[t] @ x[at]
         return self._columns[t] @ df - x, df
+
+
+def _factor(
+    model: ElasticModel, free: Array, like: Response | None
+) -> tuple[Factor, Layout | None]:
+    """Return the factor of K, along sections if those are thin, and the sections."""
+    if not (len(free) and isinstance(choose(model.solver, 3 * len(free)), Direct)):
+        return model.base_factor()[1], None
+    K = model.pattern.condense(model.stiffness, free, free)
+    known = like._layout if isinstance(like, LinearResponse) else None
+    layout = Layout(K) if known is None else known
+    return Sections(K, layout) if layout.thin else model.base_factor()[1], layout
 
 
 def total(parts: Sequence[Array]) -> Array:
