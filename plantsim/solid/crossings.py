@@ -21,9 +21,18 @@ def crossings(points: Array, faces: Array) -> Array:
     keys = np.minimum(faces, other) * len(points) + np.maximum(faces, other)
     edges = np.stack(np.divmod(np.unique(keys), len(points)), axis=1)
     x = points[edges]
+    corners = points[faces]
     k = min(NEIGHBOURS, len(faces))
-    near = KDTree(points[faces].mean(axis=1)).query(x.mean(axis=1), k)[1]
-    edge, face = np.repeat(np.arange(len(edges)), k), near.ravel()
+    near = KDTree(corners.mean(axis=1)).query(x.mean(axis=1), k)[1].reshape(-1, k)
+    # of triangles beside a smooth surface few have an edge's ends on two sides of them
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    level = np.einsum("fi,fi->f", normal, corners[:, 0])[near]
+    normal = normal[near]
+    first, second = (
+        np.einsum("eki,ei->ek", normal, end) - level for end in (x[:, 0], x[:, 1])
+    )
+    edge, place = np.nonzero(first * second < 0)
+    face = near[edge, place]
     apart = (faces[face][:, :, None] != edges[edge][:, None]).all(axis=(1, 2))
     edge, face = edge[apart], face[apart]
     a, b, c = points[faces[face]].transpose(1, 0, 2)

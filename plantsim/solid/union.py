@@ -266,9 +266,10 @@ def limbs(solid: Solid, skin: Skin, points: Array, tets: Array) -> Array:
         same = (on[column][:, :, None] == on[start][:, None]).any(axis=1)
         shared &= same | (column < 0)[:, None]
     out = on[start, shared.argmax(axis=1)]
-    centre = points[tets].mean(axis=1)
+    unclear = shared.sum(axis=1) != 1
     # in a crotch all corners may be on one limb, and the tet well outside of it
-    away = on_axis(solid, centre, out)[1] > OUT[1]
-    unclear = np.flatnonzero(away | (shared.sum(axis=1) != 1))
-    out[unclear] = on_axis(solid, centre[unclear])[0]
+    crotch = np.flatnonzero((on[tets, 1] >= 0).any(axis=1) & ~unclear)
+    away = on_axis(solid, points[tets[crotch]].mean(axis=1), out[crotch])[1] > OUT[1]
+    unclear[crotch[away]] = True
+    out[unclear] = on_axis(solid, points[tets[unclear]].mean(axis=1))[0]
     return out
