@@ -1,7 +1,10 @@
 """The exception family: what was wrong, the number seen, and what to do."""
 
 import importlib
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+K = TypeVar("K")
 
 
 class PlantsimError(Exception):
@@ -64,3 +67,54 @@ def needs(package: str, extra: str, instead: str = "") -> Any:
             f"{package} cannot be imported ({why}). Run: pip install 'plantsim[{extra}]'"
             f"{f', or {instead}' if instead else ''}"
         ) from None
+
+
+# how to get what is wanted, from what was given instead or from nothing
+_WAYS = {
+    ("Skeleton", "Solid"): "ps.sweep(skeleton)",
+    ("Skeleton", "TetMesh"): "ps.tetrahedralize(ps.sweep(skeleton))",
+    ("Solid", "TetMesh"): "ps.tetrahedralize(solid)",
+    ("ElasticModel", "TetMesh"): "model.mesh",
+    ("Equilibrium", "TetMesh"): "state.model.mesh",
+    ("Equilibrium", "ElasticModel"): "state.model",
+    ("Estimate", "TetMesh"): "found.model.mesh",
+    ("Estimate", "ElasticModel"): "found.model",
+    ("", "Skeleton"): "one of ps.weber_penn(...) or ps.read_skeleton(path)",
+    ("", "Solid"): "one of ps.sweep(skeleton)",
+    ("", "TetMesh"): "one of ps.tetrahedralize(solid) or ps.read_mesh(path)",
+    ("", "ElasticModel"): "one of ps.ElasticModel(mesh, material)",
+    ("", "Equilibrium"): "one of model.solve(...)",
+    ("", "Observation"): "one of ps.observe(model, touch) or ps.read_observations(path)",
+}
+
+
+def check_kind(
+    value: object,
+    kind: type[K],
+    who: str,
+    error: type[PlantsimError] = ModelError,
+    hint: str = "",
+) -> K:
+    """Return a value of a kind; raise `error`, with what to give instead, for others."""
+    if isinstance(value, kind):
+        return value
+    given, wanted = type(value).__name__, kind.__name__
+    way = _WAYS.get((given, wanted)) or _WAYS.get(("", wanted), "one")
+    raise error(f"{who} takes {_a(wanted)}, not {_a(given)}. {hint}Give {way}.")
+
+
+def checked_all(
+    values: Any, kind: type, who: str, error: type[PlantsimError] = ModelError
+) -> list[Any]:
+    """Return values of a kind as a list; `error` where they are of another, or only one."""
+    if isinstance(values, kind) or not isinstance(values, Iterable):
+        given, wanted = type(values).__name__, kind.__name__
+        raise error(f"{who} takes several {wanted}, not {_a(given)}. Give a list of them.")
+    found = list(values)
+    for value in found:
+        check_kind(value, kind, who, error)
+    return found
+
+
+def _a(noun: str) -> str:
+    return f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun}"

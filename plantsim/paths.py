@@ -14,9 +14,16 @@ MODEST = 2**28  # bytes that the arrays of any file may take
 SWELL = 100  # times the file's own bytes that they may take beyond that
 
 
+def named(path: str | os.PathLike[str]) -> Path:
+    """Return `path` as a Path, or raise FileError for what names no file."""
+    if isinstance(path, (str, os.PathLike)):
+        return Path(path)
+    raise FileError(f"a {type(path).__name__} where a file's name is wanted. Give a path.")
+
+
 def existing(path: str | os.PathLike[str]) -> Path:
     """Return `path` as a Path to a readable, non-empty file, or raise FileError."""
-    path = Path(path)
+    path = named(path)
     if not path.exists():
         raise FileError(f"{path}: no such file. Check the path.")
     if not path.is_file():
@@ -28,7 +35,7 @@ def existing(path: str | os.PathLike[str]) -> Path:
 
 def writable(path: str | os.PathLike[str], *suffixes: str) -> Path:
     """Return `path` if it has one of the suffixes and its folder exists, or FileError."""
-    path = Path(path)
+    path = named(path)
     if path.suffix.lower() not in suffixes:
         raise FileError(
             f"{path}: {path.suffix or 'no'} suffix; this can be written as "

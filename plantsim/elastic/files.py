@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from plantsim.elastic.equilibrium import Equilibrium
-from plantsim.errors import FileError
+from plantsim.errors import FileError, check_kind, checked_all
 from plantsim.mesh.files import write_mesh
 from plantsim.mesh.surfaces import SURFACES, write_surface
 from plantsim.paths import replacing, writable
@@ -24,6 +24,8 @@ def write_state(
     "stress [Pa]" (nine components) and "von_mises [Pa]"; regions and sets as in
     `write_mesh`. A surface is bent by the displacement times `scale`.
     """
+    hint = "Meshes go by ps.write_mesh. "
+    check_kind(state, Equilibrium, "write_state", FileError, hint)
     path = writable(path, ".vtu", *SURFACES)
     mesh = state.model.mesh
     if path.suffix.lower() != ".vtu":
@@ -55,7 +57,7 @@ def write_states(
     ascending; 0, 1, 2, ... where None.
     """
     path = writable(path, ".pvd")
-    frames = list(states)
+    frames = checked_all(states, Equilibrium, "write_states", FileError)
     at = np.arange(len(frames), dtype=float) if times is None else np.asarray(times, float)
     if not frames or at.shape != (len(frames),) or not (np.diff(at) > 0).all():
         raise FileError(

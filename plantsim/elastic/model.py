@@ -28,7 +28,7 @@ from plantsim.elastic.stiffness import Blocks, blocks, mass
 from plantsim.elastic.strength import warn_of_breakage
 from plantsim.elastic.supports import check_held
 from plantsim.elastic.weight import gravity
-from plantsim.errors import ModelError
+from plantsim.errors import ModelError, check_kind
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.solve.direct import Direct
 from plantsim.solve.solver import Choice, Factor, choose
@@ -69,6 +69,7 @@ class ElasticModel:
                 f"kinematics {self.kinematics!r} is not known; give 'linear' or "
                 "'corotational'."
             )
+        check_kind(self.mesh, TetMesh, "ElasticModel")
         self.material.per_tet(len(self.mesh.tets))
         choose(self.solver, 0)
         ids = ids_in(self.mesh, self.fixed, "fixed")

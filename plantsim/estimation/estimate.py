@@ -14,7 +14,7 @@ from plantsim.arrays import Array, Random
 from plantsim.cards import card
 from plantsim.elastic.material import Material
 from plantsim.elastic.model import ElasticModel
-from plantsim.errors import EstimateError
+from plantsim.errors import EstimateError, check_kind, checked_all
 from plantsim.estimation import output_error
 from plantsim.estimation.cases import gather
 from plantsim.estimation.observation import Observation
@@ -163,7 +163,10 @@ def estimate(
     Raises EstimateError where nothing was observed, displacements that the method needs
     were not seen, or no optimum was reached.
     """
-    seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
+    check_kind(model, ElasticModel, "estimate", EstimateError)
+    if isinstance(observations, Observation):
+        observations = (observations,)
+    seen = tuple(checked_all(observations, Observation, "estimate", EstimateError))
     if not seen:
         raise EstimateError("no observations: give at least one touch.")
     if method not in ("map", "force-balance"):

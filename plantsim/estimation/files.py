@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.errors import DependencyError, EstimateError, FileError
+from plantsim.errors import DependencyError, EstimateError, FileError, checked_all
 from plantsim.estimation.observation import Observation
 from plantsim.hdf5 import h5py, lies_in, plain_array, plain_group
 from plantsim.paths import existing, no_bomb, no_swelling, replacing, writable
@@ -40,7 +40,8 @@ def write_observations(
     HDF5 needs the extra `io`; DependencyError says so.
     """
     path = writable(path, *_HDF5, ".npz")
-    groups = [_fields(seen) for seen in observations]
+    touches = checked_all(observations, Observation, "write_observations", EstimateError)
+    groups = [_fields(seen) for seen in touches]
     if not groups:
         raise EstimateError("no observations to write. Give at least one.")
     if path.suffix.lower() == ".npz":

@@ -14,7 +14,7 @@ from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Load, Move
 from plantsim.elastic.model import ElasticModel
 from plantsim.elastic.statics import gathered
-from plantsim.errors import EstimateError
+from plantsim.errors import EstimateError, check_kind
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.touch.grasp import Grasp
 
@@ -166,6 +166,7 @@ def observe(
     radius. `feels`: "forces", "wrench", "total" (force at the wrist), "nothing", or "auto"
     as above. The gripper knows its own motion.
     """
+    check_kind(model, ElasticModel, "observe", EstimateError)
     if rng is None and (displacement_noise or force_noise or torque_noise):
         raise EstimateError("noise without rng. Pass one numpy Generator for all touches.")
     if feels == "auto":

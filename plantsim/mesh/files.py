@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, few, frozen, vertex_ids
-from plantsim.errors import FileError, MeshError, ModelError
+from plantsim.errors import FileError, MeshError, ModelError, check_kind
 from plantsim.mesh.msh41 import write_msh41
 from plantsim.mesh.msh41_reader import Block, physical_names, read_msh41
 from plantsim.mesh.surfaces import SURFACES, write_surface
@@ -79,6 +79,13 @@ def write_mesh(
     The file appears whole or not at all. Raises FileError for an unknown suffix or version,
     or for data that the format cannot hold.
     """
+    check_kind(
+        mesh,
+        TetMesh,
+        "write_mesh",
+        FileError,
+        "States go by ps.write_state, skeletons by ps.write_skeleton. ",
+    )
     path = writable(path, *FORMATS, *SURFACES)
     suffix = path.suffix.lower()
     if version not in ("4.1", "2.2"):

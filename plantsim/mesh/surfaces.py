@@ -2,12 +2,13 @@
 
 import os
 from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import frozen
-from plantsim.errors import FileError, ModelError, needs
+from plantsim.errors import FileError, ModelError, check_kind, needs
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.paths import replacing, writable
 
@@ -16,8 +17,23 @@ SURFACES = (".ply", ".obj", ".stl", ".glb")
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
+@runtime_checkable
+class Bent(Protocol):
+    """A plant that is bent, as an Equilibrium is."""
+
+    @property
+    def model(self) -> Any:
+        """The model, which has the mesh."""
+        ...
+
+    @property
+    def displacement(self) -> Any:
+        """Where its vertices went, (n, 3) [m]."""
+        ...
+
+
 def write_surface(
-    mesh: TetMesh,
+    mesh: TetMesh | Bent,
     path: str | os.PathLike[str],
     *,
     displacement: ArrayLike | None = None,
@@ -26,7 +42,8 @@ def write_surface(
 ) -> Path:
     """Write the outer surface to .ply, .obj, .stl or .glb, in metres; return the path.
 
-    `displacement` (n, 3) [m], times `scale`, bends it first. Curved faces go as four flat
+    `displacement` (n, 3) [m], times `scale`, bends it first; an Equilibrium in place of the
+    mesh brings its own. Curved faces go as four flat
     triangles. `colours` (n, 3), 0 to 255, one a vertex, are kept by .ply and .glb. Vertices
     are `mesh.surface_vertices`, in that order (.stl has no vertices, only triangles). A
     .glb has y up, as its standard asks; the others z.
@@ -35,6 +52,14 @@ def write_surface(
     """
     path = writable(path, *SURFACES)
     suffix = path.suffix.lower()
+    if isinstance(mesh, Bent):
+        if displacement is not None:
+            raise ModelError(
+                "a state and a displacement. Give one of them: write_surface(state, path), "
+                "or write_surface(state.model.mesh, path, displacement=...)."
+            )
+        mesh, displacement = mesh.model.mesh, mesh.displacement
+    mesh = check_kind(mesh, TetMesh, "write_surface", FileError)
     on = mesh.surface_vertices
     points = mesh.points[on]
     if displacement is not None:

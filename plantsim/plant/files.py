@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.errors import FileError, GeometryError
-from plantsim.paths import existing, replacing
+from plantsim.errors import FileError, GeometryError, check_kind
+from plantsim.paths import existing, named, replacing
 from plantsim.plant.cylinders import read_cylinders, write_cylinders
 from plantsim.plant.hung import Hung
 from plantsim.plant.skeleton import Skeleton
@@ -54,7 +54,8 @@ def write_skeleton(skeleton: Skeleton, path: str | os.PathLike[str]) -> Path:
 
     The file is whole or not there. Only JSON keeps notes, leaves and fruit.
     """
-    file = Path(path)
+    file = named(path)
+    check_kind(skeleton, Skeleton, "write_skeleton", FileError)
     writers = {".json": _write_json, ".swc": write_swc}
     text = writers.get(_kind(file, SUFFIXES), write_cylinders)(skeleton)
     with replacing(file) as temporary:

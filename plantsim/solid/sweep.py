@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from plantsim.arrays import Array, few, frozen
 from plantsim.cards import card
-from plantsim.errors import GeometryError
+from plantsim.errors import GeometryError, check_kind
 from plantsim.plant.skeleton import Limb, Skeleton
 
 Tips = Literal["round", "flat"]
@@ -302,6 +302,7 @@ def sweep(skeleton: Skeleton, *, tips: Tips = "round") -> Solid:
     Raises GeometryError, naming the limb, where a limb is thicker than its bend allows,
     swallowed by its parent, too thick for it, or does not start on its parent's axis.
     """
+    check_kind(skeleton, Skeleton, "sweep", GeometryError)
     tubes: list[Tube] = []
     for limb in skeleton.limbs:
         points, joint = limb.points, 0.0

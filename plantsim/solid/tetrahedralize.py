@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from plantsim.arrays import Array
-from plantsim.errors import MeshError
+from plantsim.errors import MeshError, check_kind
 from plantsim.mesh.tetmesh import TetMesh, quadratic
 from plantsim.paths import existing
 from plantsim.solid import apart, gmsh_model, occ, union, wild
@@ -78,6 +78,8 @@ def tetrahedralize(
     if size is not None and not 0.1 <= size <= 10:
         raise MeshError(f"size is {size}; give a factor from 0.1 to 10.")
     if not isinstance(geometry, Solid):
+        if not isinstance(geometry, str | os.PathLike):
+            check_kind(geometry, Solid, "tetrahedralize", MeshError)
         path = existing(geometry)
         given = {"trust": trust, "timeout": timeout or 600.0, "parameters": parameters}
         return _from_file(path, 1.0 if size is None else size, order, **given)

@@ -10,7 +10,7 @@ from plantsim.arrays import Array, frozen
 from plantsim.elastic.equilibrium import Equilibrium
 from plantsim.elastic.loads import Move, ids_in
 from plantsim.elastic.model import ElasticModel
-from plantsim.errors import ModelError
+from plantsim.errors import ModelError, check_kind
 from plantsim.mesh.tetmesh import TetMesh
 
 
@@ -95,6 +95,7 @@ def nearest_vertices(
     With `radius` [m] all within it, else the `count` nearest. Raises ModelError where none
     is within the radius.
     """
+    check_kind(mesh, TetMesh, "nearest_vertices")
     at = frozen(point, (3,), name="point", error=ModelError)
     on = mesh.surface_vertices
     distance = np.linalg.norm(mesh.points[on] - at, axis=1)

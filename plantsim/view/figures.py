@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.elastic.equilibrium import Equilibrium
-from plantsim.errors import ModelError
+from plantsim.errors import ModelError, check_kind, checked_all
 from plantsim.estimation.observation import Observation
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.solid.sweep import Solid
@@ -104,6 +104,7 @@ def figure_posterior(
     a third picture shows what the touches identified: the share of the prior's variance
     that they removed, 0 nothing to 1 all. `next_touch`: ids of vertices to touch next, red.
     """
+    check_kind(mesh, TetMesh, "figure_posterior")
 
     def panel(field: ArrayLike, label: str, cmap: str, title: str) -> tuple[Scene, str]:
         return material_scene(mesh, field, label, cmap, next_touch), title
@@ -133,6 +134,11 @@ def figure_gallery(
     `plants`: `Solid`, `TetMesh` and `Equilibrium` values, or a mapping of titles to them;
     each to its own scale. Returns the path of the PNG.
     """
+    if not isinstance(plants, Mapping | Sequence) or isinstance(plants, str):
+        raise ModelError(
+            f"a gallery of one {type(plants).__name__}. Give a list of plants, or a "
+            "mapping of titles to them."
+        )
     named = plants.items() if isinstance(plants, Mapping) else [("", p) for p in plants]
     panels = [(_portrait(p), title) for title, p in named]
     if not panels:
@@ -160,7 +166,8 @@ def animate_touch(
     With `back` they are played forth and back. The camera stays, fitted to all frames.
     `size` in pixels, even numbers.
     """
-    scenes = [deformation_scene(state, scale, forces) for state in states]
+    frames = checked_all(states, Equilibrium, "animate_touch")
+    scenes = [deformation_scene(state, scale, forces) for state in frames]
     if not scenes:
         raise ModelError("an animation without a state. Give at least one.")
     return film(scenes, out, back=back, size=size)

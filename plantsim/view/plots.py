@@ -27,6 +27,7 @@ def figure_table_one(
     `ours`: name -> (visual, tactile), one value a shot. Errors on a log scale. With `out`
     (.png, .svg or .pdf) the path is returned, else the matplotlib figure.
     """
+    _check_named(ours, "(visual, tactile)")
     lines: dict[str, tuple[Sequence[int], ArrayLike, ArrayLike]] = {}
     if paper:
         lines["paper, Table I"] = PAPER
@@ -55,6 +56,7 @@ def figure_convergence(
     ylabel: str = "relative error",
 ) -> Any:
     """Draw errors over element sizes on log scales, with the fitted rate of each line."""
+    _check_named(errors, "errors")
     h = np.asarray(sizes, dtype=float)
     with styled():
         figure = blank_figure(5.2, 4.0)
@@ -79,6 +81,7 @@ def figure_ratios(
     xlabel: str = "times as fast as the reference",
 ) -> Any:
     """Draw ratios of ours to a reference as bars on a log scale, 1 marked."""
+    _check_named(ratios, "a ratio")
     values = np.array(list(ratios.values()), dtype=float)
     if not len(values) or not (values > 0).all():
         raise ModelError(f"ratios {ratios}. Give at least one, all above 0.")
@@ -104,6 +107,12 @@ def figure_ratios(
         axes.set_xlabel(xlabel)
         figure.tight_layout()
         return figure if out is None else saved(figure, out)
+
+
+def _check_named(values: object, what: str) -> None:
+    if not isinstance(values, Mapping):
+        kind = type(values).__name__
+        raise ModelError(f"a {kind} where names are wanted. Give {{name: {what}}}.")
 
 
 def _line(axes: Any, name: str, x: ArrayLike, y: ArrayLike) -> None:

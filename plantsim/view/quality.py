@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from plantsim.errors import check_kind
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.view.style import blank_figure, saved
 
@@ -17,6 +18,7 @@ def figure_quality(mesh: TetMesh, out: str | os.PathLike[str] | None = None) -> 
     With `out` (.png, .svg or .pdf) it returns the path, else the matplotlib Figure.
     Raises DependencyError where matplotlib is not installed.
     """
+    check_kind(mesh, TetMesh, "figure_quality")
     figure = blank_figure(6.4, 4.0)
     axes = figure.add_axes((0.13, 0.15, 0.83, 0.72))
     worst, middle = float(mesh.quality.min()), float(np.median(mesh.quality))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array
 from plantsim.elastic.equilibrium import Equilibrium
-from plantsim.errors import DependencyError, ModelError, needs
+from plantsim.errors import DependencyError, ModelError, check_kind, needs
 from plantsim.estimation.observation import Observation
 from plantsim.mesh.tetmesh import TetMesh
 from plantsim.paths import Picture, replacing, writable
@@ -29,6 +29,7 @@ FORCE = 0.12  # of the plant's size: the longest arrow of a force
 PATCH = 0.08  # of the plant's size: moved vertices nearer than this are one hand's
 FPS = 20  # of an animation
 SEEN = BLUE
+BENT = "A state is drawn by ps.figure_deformation, a skeleton by ps.figure_skeleton. "
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,7 @@ class Scene:
 
 def deformation_scene(state: Equilibrium, scale: float, forces: bool) -> Scene:
     """Return a plant at rest and deformed, arrows where it is moved; forces in green."""
+    check_kind(state, Equilibrium, "this picture")
     mesh = state.model.mesh
     bent = mesh.points + scale * state.displacement
     parts: list[tuple[Any, dict[str, Any]]] = [
@@ -94,6 +96,7 @@ def touch_scene(mesh: TetMesh, touch: Observation, scale: float) -> Scene:
             f"a touch is drawn on a mesh, not on {mesh!r}. Give the mesh that was touched "
             "first: touch.plot(mesh, 'touch.png')."
         )
+    check_kind(touch, Observation, "this picture")
     ids = np.concatenate([touch.moved, touch.seen, touch.loaded])
     if len(ids) and ids.max() >= len(mesh.points):
         raise ModelError(
@@ -136,6 +139,7 @@ def touch_scene(mesh: TetMesh, touch: Observation, scale: float) -> Scene:
 
 def solid_scene(solid: Solid) -> Scene:
     """Return the tubes of a solid, each in one of the style's colours, seen through."""
+    check_kind(solid, Solid, "this picture")
     skins = [_tube(tube) for tube in solid.tubes]
     parts = tuple(
         (
@@ -181,7 +185,12 @@ def material_scene(
 
     `span`: lowest and highest value of the bar, the field's own by default.
     """
-    values = np.asarray(field, dtype=float)
+    check_kind(mesh, TetMesh, "this picture")
+    try:
+        values = np.asarray(field, dtype=float)
+    except (TypeError, ValueError):
+        kind = type(field).__name__
+        raise ModelError(f"field is a {kind}. Give one number a tet.") from None
     if values.shape != (len(mesh.tets),):
         raise ModelError(
             f"field has shape {values.shape} for {len(mesh.tets)} tets. Give one value a "
@@ -232,6 +241,7 @@ def material_scene(
 
 def limbs_scene(mesh: TetMesh) -> Scene:
     """Return a mesh with every limb in one of the style's colours."""
+    check_kind(mesh, TetMesh, "this picture", hint=BENT)
 
     def skin(pv: Any) -> Any:
         surface = _surface(pv, mesh, mesh.points, clean=False)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from plantsim.arrays import Array
+from plantsim.errors import check_kind
 from plantsim.plant.skeleton import Skeleton
 from plantsim.view.style import GREEN, VERMILION, blank_figure, saved
 
@@ -24,6 +25,7 @@ def figure_skeleton(
     With `out` (.png, .svg or .pdf) it returns the path, else the matplotlib Figure.
     Raises DependencyError where matplotlib is not installed.
     """
+    check_kind(skeleton, Skeleton, "figure_skeleton")
     figure = blank_figure(6.4, 7.2)
     axes = figure.add_axes((0.12, 0.08, 0.84, 0.84))
     _draw(axes, skeleton)

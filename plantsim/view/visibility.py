@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plantsim.arrays import Array, frozen
-from plantsim.errors import DependencyError, ModelError
+from plantsim.errors import DependencyError, ModelError, check_kind
 from plantsim.mesh.tetmesh import TetMesh
 
 OFF = 1e-4  # rays start this share of the mesh's size off the surface
@@ -42,6 +42,7 @@ def visible_vertices(
     (n, 3): where the vertices are, if not at rest. A vertex is hidden where the plant is in
     the way or its surface is turned away. Needs the extra `view`.
     """
+    check_kind(mesh, TetMesh, "visible_vertices")
     x = mesh.points if points is None else np.asarray(points, dtype=float)
     on = mesh.surface_vertices
     if isinstance(camera, Camera):
