@@ -351,33 +351,6 @@ def test_the_command_serves_loopback_and_ends_on_ctrl_c(mesh, tmp_path):
         child.kill()
 
 
-def test_a_page_is_spared_what_it_would_draw_slowly(viewer, mesh):
-    skeleton = ps.weber_penn("apple", rng=7).pruned(max_limbs=12)
-    large = ps.tetrahedralize(ps.sweep(skeleton), order=1)
-    viewer.do(lambda: viewer.show(large, name="large"))
-    viewer.settle()
-    skin, touching = viewer.skin, viewer.touching
-    assert len(touching.triangles) > 15_000
-    assert len(skin.faces) < 10_500  # of 24,000: the rest is where the surface is flat
-    assert skin.count < 0.6 * len(large.surface_vertices)
-    shown = large.points[large.surface_vertices][skin.faces]
-    a, b, c = np.moveaxis(shown, 1, 0)
-    volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6  # closed, outward, of that size
-    assert volume == pytest.approx(large.volume, rel=0.1)
-    tip = ps.nearest_vertices(large, large.points[large.points[:, 2].argmax()], count=6)
-    assert not skin.ghost.visible  # the plant stands in it
-    viewer.hold(tip)
-    viewer.drag((0.05, 0, 0))
-    viewer.settle()
-    assert skin.ghost.visible
-    skin.ghostly(False)
-    viewer.drag((0.06, 0, 0))
-    viewer.settle()
-    assert not skin.ghost.visible
-    handle, rows = skin.pieces[0]
-    assert handle.vertices == pytest.approx(viewer.frame.surface[rows], abs=1e-6)
-
-
 def test_a_hand_glides_between_two_messages_of_a_page():
     from plantsim.view.hand import Goal, steps
 

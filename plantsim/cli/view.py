@@ -1,7 +1,9 @@
 """plantsim view: a plant on a local page, to be dragged with the mouse."""
 
 import contextlib
+import faulthandler
 import signal
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
@@ -80,6 +82,7 @@ def view(
             touches=touches,
         )
     # Ctrl-C is the way to end it, from the moment that it is told of
+    faulthandler.enable()  # else a crash in C would end it without a word
     with viewer, contextlib.suppress(KeyboardInterrupt):
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         with reporting(json) as report:
@@ -88,7 +91,7 @@ def view(
         if host not in ("127.0.0.1", "localhost", "::1"):
             typer.echo("anyone who reaches this address may use the page", err=True)
         if open_:
-            viewer.browse()
+            webbrowser.open(viewer.url)
         viewer.wait()
     if not json:
         typer.echo("closed")

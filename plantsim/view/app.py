@@ -7,10 +7,10 @@ open. All tabs show the same plant.
 
 import contextlib
 import io
+import logging
 import queue
 import threading
 import time
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,12 @@ from plantsim.view.touching import Balance, Burden, Frame, Touching, beside, hit
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 FASTEST = 1 / 60  # [s] between two frames: what screens show
-SLOW = 1 / 12  # [s] between words and colours that change in a drag; the shape goes at once
+SLOW = 1 / 5  # [s] between words and colours that change in a drag; the shape goes at once
 AIM = 0.015  # [rad] by which a click may miss the plant: some ten pixels
 TRIES = 10  # equilibria for one place of the hand, which turns with each
 REST = 0.25  # [s] without a job until what costs more than a frame is told
 DEFAULT = Material(6e9, 0.35, 900.0)
+log = logging.getLogger(__name__)
 
 
 class Local(viser.ViserServer):
@@ -102,9 +103,8 @@ class Viewer:
     @property
     def url(self) -> str:
         """Where the page is."""
-        host = self.server.get_host()
-        shown = "localhost" if host in ("0.0.0.0", "") else host
-        return f"http://{shown}:{self.server.get_port()}"
+        host = self.server.get_host().replace("0.0.0.0", "localhost") or "localhost"
+        return f"http://{host}:{self.server.get_port()}"
 
     def __enter__(self) -> "Viewer":
         return self
@@ -113,14 +113,10 @@ class Viewer:
         self.stop()
 
     def wait(self) -> None:
-        """Stay until Ctrl-C."""
+        """Stay until Ctrl-C, or until the thread that computes has ended."""
         with contextlib.suppress(KeyboardInterrupt):
-            while True:
-                time.sleep(3600)
-
-    def browse(self) -> None:
-        """Open the page in the machine's browser."""
-        webbrowser.open(self.url)
+            while self._thread.is_alive():
+                self._thread.join(1.0)
 
     def stop(self) -> None:
         """Close the page and end the threads."""
@@ -259,6 +255,7 @@ class Viewer:
             except (PlantsimError, OSError) as why:
                 self.panel.complain(str(why))
             except Exception as why:  # a viewer that dies of one click helps nobody
+                log.exception("in the viewer")
                 self.panel.complain(f"{type(why).__name__}: {why}")
 
     def _follow(self) -> None:
@@ -375,12 +372,12 @@ class Viewer:
         self.do(job)
 
     def _draw(self, frame: Frame) -> None:
-        """Send a frame: the shape at once, words, trace and colours a dozen times a s."""
+        """Send a frame: the shape at once, words, trace and colours five times a second."""
         self.frame = frame
-        newtons = float(np.linalg.norm(frame.force))
-        held = len(self.touching.ids) > 0
+        newtons, held = float(np.linalg.norm(frame.force)), len(self.touching.ids) > 0
         with self.server.atomic():
-            self.skin.move(frame.surface)
+            if self.skin.move(frame.surface):
+                self.skin.colour_by(self.panel.colour, self)
             self._arrow.visible = self._label.visible = held and newtons > 0
             self._dots.visible = held
             if held:
@@ -398,10 +395,10 @@ class Viewer:
             self._tell(None)
 
     def _rest_a_moment(self) -> None:
-        """When no job waits, say what the last frames left unsaid, and how far it turned.
-
-        The largest rotation costs more than a frame.
-        """
+        """When no job waits, draw in full, and say how far it turned, which costs more."""
+        with self.server.atomic():
+            if self.skin.rest():
+                self.skin.colour_by(self.panel.colour, self)
         if not self._told:
             self._tell(self.touching.max_rotation() if len(self.touching.ids) else None)
             self._told = True

@@ -1,6 +1,7 @@
 """The viewer's controls: what a page shows beside the plant, and what its knobs do."""
 
 import itertools
+import logging
 import tempfile
 import threading
 import time
@@ -34,6 +35,7 @@ REST = "\n".join(["&nbsp;  "] * 3)  # else what stands below would jump
 LONGEST = 600.0  # [s] that meshing another plant may take
 NOTHING = [(0.0, np.nan), (1.0, np.nan)]  # a trace before there is one: axes alone
 POINTS = 400  # of the trace on the page
+log = logging.getLogger(__name__)
 SPREAD = 0.35  # of the hidden stiffness, one standard deviation of its logarithm
 
 
@@ -76,9 +78,12 @@ class Panel:
 
     def complain(self, why: str) -> None:
         """Tell every open page what went wrong."""
-        self._words.content = f"**{why}**"
-        for client in self._server.get_clients().values():
-            client.add_notification("plantsim", why, color="red", auto_close_seconds=12.0)
+        try:
+            self._words.content = f"**{why}**"
+            for client in list(self._server.get_clients().values()):
+                client.add_notification("plantsim", why, color="red", auto_close_seconds=12)
+        except Exception:  # a page that has just closed; whoever complains goes on
+            log.exception("could not tell: %s", why)
 
     def new_plant(self) -> None:
         """Describe the plant that is shown now."""

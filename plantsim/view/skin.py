@@ -1,7 +1,8 @@
 """The plant's surface on the page, in as many pieces as it has colours.
 
 A page's mesh has one colour, so a field is drawn as one mesh for each of a few colours;
-their vertices move together.
+their vertices move together. While a plant moves it is drawn by fewer triangles, so that a
+page without a graphics card keeps up; at rest by all.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -21,28 +22,77 @@ SHADES = 20
 LEAST = 0.01  # [MPa] at the end of the bar of stress, where there is none yet
 PLAIN = (139, 158, 120)
 NEAR = 1e-4  # of its size: a plant that moved less stands in its rest shape
-MOST = 10_000  # triangles that are drawn, half for the ghost: else of corners, thinned
+# triangles that are drawn: of the corners, thinned where the surface is flat
+MOST, MOVING, GHOST = 10_000, 5_000, 2_500
+
+
+class Coat:
+    """The surface by so many triangles, one mesh on the page for each of its colours."""
+
+    def __init__(self, scene: Any, name: str, faces: Array, tets: Array) -> None:
+        """Draw nothing yet: `tets` are those behind the faces, for their colours."""
+        self._scene, self._name = scene, name
+        self.faces, self.tets = faces, tets
+        self.pieces: list[tuple[Any, Array]] = []
+        self.visible = True
+        self._shade: Array | None = None
+
+    def move(self, points: Array) -> None:
+        """Put the vertices (s, 3) [m] somewhere."""
+        for handle, rows in self.pieces:
+            handle.vertices = points[rows]
+
+    def show(self, visible: bool) -> None:
+        """Show it, or do not."""
+        self.visible = visible
+        for handle, _ in self.pieces:
+            handle.visible = visible
+
+    def paint(self, points: Array, shade: Array, table: Any) -> None:
+        """Draw one mesh for each shade (k,) of the faces that is there."""
+        key = np.append(shade, len(table))
+        if self._shade is not None and np.array_equal(key, self._shade):
+            return
+        self._shade = key
+        old = [handle for handle, _ in self.pieces]
+        self.pieces = []
+        for i, n in enumerate(np.unique(shade)):
+            faces = self.faces[shade == n]
+            rows = np.unique(faces)
+            handle = self._scene.add_mesh_simple(
+                f"/{self._name}/{i}",
+                points[rows],
+                np.searchsorted(rows, faces),
+                color=table[int(n)],
+                visible=self.visible,
+            )
+            self.pieces.append((handle, rows))
+        for handle in old[len(self.pieces) :]:  # the others were replaced by name
+            handle.remove()
 
 
 class Skin:
-    """What of a plant is seen, and the colours on it."""
+    """What of a plant is seen, and the colours on it: coarser while it moves."""
 
     def __init__(self, scene: Any, touching: Touching) -> None:
         """Draw the surface at rest, plain, and its ghost, which stays there."""
-        self._scene = scene
         mesh = touching.mesh
         self._on = mesh.surface_vertices
         points = self._points = mesh.points[self._on]
         flat = np.searchsorted(self._on, mesh.surface[:, :3])
         faces, tets = touching.triangles, touching.tet_of_triangle
-        if len(faces) > MOST:
-            faces = thinned(points, flat, MOST)
-            near = KDTree(points[flat].mean(axis=1)).query(points[faces].mean(axis=1))[1]
-            tets = mesh.surface_tets[near]
-        self.faces, self._tets = faces, tets
-        self.pieces: list[tuple[Any, Array]] = []
-        self._shade: Array | None = None
-        ghost = thinned(points, flat, MOST // 2)
+        middles = KDTree(points[flat].mean(axis=1))
+
+        def coat(name: str, most: int) -> Coat:
+            if len(faces) <= most:
+                return Coat(scene, name, faces, tets)
+            few = thinned(points, flat, most)
+            near = middles.query(points[few].mean(axis=1))[1]
+            return Coat(scene, name, few, mesh.surface_tets[near])
+
+        self.full = self.worn = coat("plant", MOST)
+        self.light = coat("moving", MOVING) if len(faces) > MOVING else self.full
+        ghost = thinned(points, flat, GHOST)
         rest = np.unique(ghost)
         self._home, self._near = points, NEAR * float(np.ptp(points))
         self._moved, self._ghostly = False, True
@@ -59,19 +109,47 @@ class Skin:
         )
         self.legend = ""
         self.colour_by("plain", None)
+        if self.light is not self.full:  # on the page before a hand begins to move
+            self.light.visible = False
+            self.light.paint(points, np.zeros(len(self.light.faces), dtype=int), [PLAIN])
+
+    @property
+    def faces(self) -> Array:
+        """The triangles (k, 3) that are drawn now, of the surface's vertices."""
+        return self.worn.faces
+
+    @property
+    def pieces(self) -> list[tuple[Any, Array]]:
+        """The meshes on the page that are drawn now, and the vertices of each."""
+        return self.worn.pieces
 
     @property
     def count(self) -> int:
-        """How many vertices are sent in every frame."""
-        return sum(len(rows) for _, rows in self.pieces)
+        """How many vertices are sent in every frame of a drag."""
+        return sum(len(rows) for _, rows in self.light.pieces)
 
-    def move(self, points: Array) -> None:
-        """Put the surface's vertices (s, 3) [m] somewhere."""
+    def move(self, points: Array) -> bool:
+        """Put the surface's vertices (s, 3) [m] somewhere, lightly drawn until `rest`.
+
+        Return whether another coat is worn now, with colours that may be old.
+        """
         self._points = points
         self._moved = bool(np.abs(points - self._home).max() > self._near)
         self.ghostly(self._ghostly)
-        for handle, rows in self.pieces:
-            handle.vertices = points[rows]
+        return self._wear(self.light)
+
+    def rest(self) -> bool:
+        """Draw the surface in full where it is; return whether it was not before."""
+        return self.worn is not self.full and self._wear(self.full)
+
+    def _wear(self, coat: Coat) -> bool:
+        coat.move(self._points)
+        if coat is self.worn:
+            return False
+        self.worn.show(False)
+        coat.show(True)
+        self.worn = coat
+        return True
 
     def ghostly(self, shown: bool) -> None:
         """Show the shape at rest, or do not; where the plant stands in it, it is hidden."""
@@ -83,41 +161,24 @@ class Skin:
         self.legend = ""
         if what == "limb" and viewer is not None:
             region = np.asarray(viewer.touching.mesh.region)
-            self._paint(region[self._tets] % len(LIMBS), [rgb(c) for c in LIMBS])
+            self.worn.paint(
+                self._points, region[self.worn.tets] % len(LIMBS), [rgb(c) for c in LIMBS]
+            )
             return
         values, unit, cmap = (None, "", "") if viewer is None else field(what, viewer)
         if values is None:
-            self._paint(np.zeros(len(self.faces), dtype=int), [PLAIN])
+            self.worn.paint(self._points, np.zeros(len(self.faces), dtype=int), [PLAIN])
             return
         low, high = extent(values)
         if what == "stress":  # a few tets at the hand would take all colours but one
-            low, high = 0.0, max(float(np.quantile(values[self._tets], 0.98)), LEAST)
+            low, high = 0.0, max(float(np.quantile(values[self.worn.tets], 0.98)), LEAST)
             unit = f"{unit}, or more"
         shade = np.clip((values - low) / (high - low) * SHADES, 0, SHADES - 1).astype(int)
         ramp = colours((np.arange(SHADES) + 0.5) / SHADES, cmap, (0.0, 1.0))
         self.legend = bar(ramp, low, high, unit)
-        self._paint(shade[self._tets], [tuple(int(x) for x in c) for c in ramp])
-
-    def _paint(self, shade: Array, table: Any) -> None:
-        """Draw one mesh for each shade (k,) of the faces that is there."""
-        key = np.append(shade, len(table))
-        if self._shade is not None and np.array_equal(key, self._shade):
-            return
-        self._shade = key
-        old = [handle for handle, _ in self.pieces]
-        self.pieces = []
-        for i, n in enumerate(np.unique(shade)):
-            faces = self.faces[shade == n]
-            rows = np.unique(faces)
-            handle = self._scene.add_mesh_simple(
-                f"/plant/{i}",
-                self._points[rows],
-                np.searchsorted(rows, faces),
-                color=table[int(n)],
-            )
-            self.pieces.append((handle, rows))
-        for handle in old[len(self.pieces) :]:  # the others were replaced by name
-            handle.remove()
+        self.worn.paint(
+            self._points, shade[self.worn.tets], [tuple(int(x) for x in c) for c in ramp]
+        )
 
 
 def field(what: str, viewer: "Viewer") -> tuple[Array | None, str, str]:
