@@ -1,6 +1,6 @@
 """What a frame of the live viewer costs on the side that computes.
 
-    python benchmarks/viewer.py [--quick] [--browser] [--size 900x600]
+    python benchmarks/viewer.py [--quick] [--browser] [--size 900x600] [--no-draw]
 
 For plants of some sizes: processor time to take hold of six vertices, and for a frame of a
 drag (surface, force, and all messages made for the page, no page open), as a median; the
@@ -10,13 +10,21 @@ the tangent's answer; `balance` is the processor time of an equilibrium, solved 
 the frames.
 
 `--browser`: what a page shows. A headless Chromium opens the page, takes the hand's arrow
-with the mouse and shakes it for five seconds; of the page's pictures those are counted for
-which new vertices of the plant went to the graphics card, by hooks on WebGL. Without a
-graphics card SwiftShader draws, by the processor that computes too.
+with the mouse and shakes it for five seconds, one motion of the pointer a picture, as a
+browser gives them; of the page's pictures those are counted for which new vertices of the
+plant went to the graphics card, by hooks on WebGL. Without a graphics card SwiftShader
+draws, by the processor that computes too. Beside it the processor time of the drawing
+process for a picture, and of the page's JavaScript and of Python for one with the plant
+moved. `--no-draw`: calls that draw do nothing, which leaves what a graphics card could not
+take away. Every plant has a process of its own; one that ends without a word is told of.
 """
 
 import argparse
+import collections
+import faulthandler
+import multiprocessing
 import shutil
+import sys
 import time
 from dataclasses import replace
 
@@ -30,6 +38,8 @@ from plantsim.view.touching import Touching
 
 FRAMES = 60
 SECONDS = 5.0  # of a drag in the browser
+LONGEST = 300.0  # [s] for one plant in the browser
+NAMES = ("fork, order 1", "pepper, 6 limbs, order 2", "apple, 12 limbs, order 2")
 FLAGS = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
 COUNT = """
 window.shown = {pictures: 0, updates: 0, least: 1e9, fresh: false};
@@ -50,17 +60,35 @@ const tick = () => {
 };
 requestAnimationFrame(tick);
 """
+NO_DRAW = """
+for (const name of ["drawElements", "drawArrays", "drawElementsInstanced",
+                    "drawArraysInstanced"])
+  WebGL2RenderingContext.prototype[name] = () => {};
+"""
+SHAKE = """([x, y, dx, dy, seconds]) => {
+  const canvas = document.elementFromPoint(x, y), began = performance.now();
+  const go = () => {
+    const t = (performance.now() - began) / 1000, s = 0.5 - 0.5 * Math.cos(2 * Math.PI * t);
+    if (t > seconds) return;
+    canvas.dispatchEvent(new PointerEvent("pointermove", {
+      bubbles: true, cancelable: true, pointerId: 1, pointerType: "mouse",
+      isPrimary: true, buttons: 1, clientX: x + s * dx, clientY: y + s * dy}));
+    requestAnimationFrame(go);
+  };
+  go();
+}"""
 
 
 def plants(quick: bool) -> list[tuple[str, ps.TetMesh]]:
-    fork = ps.tetrahedralize(ps.sweep(ps.fork(0.5, 0.02)), order=1)
-    out = [("fork, order 1", fork)]
-    if not quick:
-        for name, limbs in (("pepper", 6), ("apple", 12)):
-            skeleton = ps.weber_penn(name, rng=7).pruned(max_limbs=limbs)
-            mesh = ps.tetrahedralize(ps.sweep(skeleton))
-            out.append((f"{name}, {limbs} limbs, order 2", mesh))
-    return out
+    return [(name, plant(name)) for name in (NAMES[:1] if quick else NAMES)]
+
+
+def plant(name: str) -> ps.TetMesh:
+    if name == NAMES[0]:
+        return ps.tetrahedralize(ps.sweep(ps.fork(0.5, 0.02)), order=1)
+    species, limbs = name.split(maxsplit=1)[0].rstrip(","), int(name.split()[1])
+    skeleton = ps.weber_penn(species, rng=7).pruned(max_limbs=limbs)
+    return ps.tetrahedralize(ps.sweep(skeleton))
 
 
 def far(mesh: ps.TetMesh) -> dict[str, float]:
@@ -125,65 +153,102 @@ def pixel(page, viewer: Viewer, point: np.ndarray) -> np.ndarray:
     return middle + scale * np.array((x, y)) / z
 
 
-def shaken(page, viewer: Viewer, mesh: ps.TetMesh) -> dict[str, float]:
-    """Drag the hand up and down by its upright arrow; return what came a second."""
+def shaken(page, viewer: Viewer, mesh: ps.TetMesh, spent) -> dict[str, float]:
+    """Drag the hand up and down by its upright arrow; return what came a second.
+
+    And the processor seconds of each kind of process, as `spent` counts them.
+    """
     viewer.hold(ps.nearest_vertices(mesh, mesh.points[mesh.points[:, 2].argmax()], count=6))
     viewer.settle()
     page.wait_for_timeout(3000)
     arrow = viewer.frame.centre + np.array((0, 0, 0.7 * 0.14 * viewer.span))
     start = pixel(page, viewer, arrow)
-    end = pixel(page, viewer, arrow - np.array((0, 0, 0.05 * viewer.span)))
+    way = pixel(page, viewer, arrow - np.array((0, 0, 0.05 * viewer.span))) - start
     page.mouse.move(*(start + 1))
     page.mouse.move(*start)
     page.wait_for_timeout(2000)  # until a picture shows that the arrow is met
     page.mouse.down()
+    page.mouse.move(*(start + 0.02 * way))
+    page.wait_for_timeout(1000)  # programs of what appears are compiled
     least = 11 * viewer.skin.count  # bytes; three floats a vertex are 12
     page.evaluate(f"Object.assign(shown, {{pictures: 0, updates: 0, least: {least}}})")
-    count, began, moves = viewer.frames, time.perf_counter(), 0
-    while time.perf_counter() - began < SECONDS:
-        share = 0.5 - 0.5 * np.cos(2 * np.pi * (time.perf_counter() - began))
-        page.mouse.move(*(start + share * (end - start)))
-        moves += 1
+    before, count, began = spent(), viewer.frames, time.perf_counter()
+    page.evaluate(SHAKE, [*map(float, (*start, *way)), SECONDS])
+    page.wait_for_timeout(1e3 * SECONDS)
     shown = page.evaluate("({...shown})")
-    seconds = time.perf_counter() - began
+    after, seconds = spent(), time.perf_counter() - began
     page.mouse.up()
+    if not shown["updates"]:
+        raise RuntimeError("the plant did not follow the mouse: the arrow was missed")
     return {
-        "moves": moves / seconds,
         "computed": (viewer.frames - count) / seconds,
         "pictures": shown["pictures"] / seconds,
         "updates": shown["updates"] / seconds,
+        "draw": 1e3 * (after["GPU"] - before["GPU"]) / shown["pictures"],
+        "page": 1e3 * (after["renderer"] - before["renderer"]) / shown["updates"],
+        "python": 1e3 * (after["python"] - before["python"]) / shown["updates"],
     }
 
 
-def browser(meshes: list[tuple[str, ps.TetMesh]], width: int, height: int) -> None:
-    """Print what a headless Chromium shows of a drag."""
+def browser(name: str, width: int, height: int, draw: bool) -> None:
+    """Print what a headless Chromium shows of a drag of one plant."""
     from playwright.sync_api import sync_playwright
 
+    faulthandler.enable()
+    mesh = plant(name)
     found = shutil.which("chromium") or shutil.which("chromium-browser")
-    print(
-        "\n| plant, on the page | moves of the mouse/s | computed/s | pictures/s | ", end=""
-    )
-    print("of these with the plant moved/s |\n|---|---|---|---|---|")
-    with sync_playwright() as p:
+    with sync_playwright() as p, Viewer(mesh, port=0) as viewer:
         chromium = p.chromium.launch(executable_path=found, args=FLAGS.split())
-        for name, mesh in meshes:
-            with Viewer(mesh, port=0) as viewer:
-                page = chromium.new_page(viewport={"width": width, "height": height})
-                page.set_default_timeout(120_000)
-                page.add_init_script(COUNT)
-                page.goto(viewer.url)
-                page.get_by_text("Let go").wait_for()
-                hide = ".mantine-Notifications-root { display: none }"  # lies on the plant
-                page.add_style_tag(content=hide)
-                page.wait_for_timeout(3000)
-                m = shaken(page, viewer, mesh)
-                page.close()
-            print(
-                f"| {name} | {m['moves']:.0f} | {m['computed']:.1f} | "
-                f"{m['pictures']:.1f} | {m['updates']:.1f} |",
-                flush=True,
-            )
+        session = chromium.new_browser_cdp_session()
+
+        def spent() -> collections.Counter:
+            out = collections.Counter(python=time.process_time())
+            for process in session.send("SystemInfo.getProcessInfo")["processInfo"]:
+                out[process["type"]] += process["cpuTime"]
+            return out
+
+        page = chromium.new_page(viewport={"width": width, "height": height})
+        page.set_default_timeout(120_000)
+        page.on("crash", lambda _: print(f"{name}: the page crashed", flush=True))
+        page.on("pageerror", lambda why: print(f"{name}: {why}", flush=True))
+        page.add_init_script(COUNT if draw else COUNT + NO_DRAW)
+        page.goto(viewer.url)
+        page.get_by_text("Let go").wait_for()
+        hide = ".mantine-Notifications-root { display: none }"  # lies on the plant
+        page.add_style_tag(content=hide)
+        page.wait_for_timeout(3000)
+        m = shaken(page, viewer, mesh, spent)
         chromium.close()
+    print(
+        f"| {name} | {m['computed']:.1f} | {m['pictures']:.1f} | {m['updates']:.1f} | "
+        f"{m['draw']:.0f} | {m['page']:.0f} | {m['python']:.0f} |",
+        flush=True,
+    )
+
+
+def browsers(width: int, height: int, draw: bool, quick: bool) -> int:
+    """Look at each plant in a process of its own; return how many failed."""
+    print(
+        "\n| plant, on the page | computed/s | pictures/s | with the plant moved/s | "
+        "drawing, ms | page, ms | Python, ms |\n|---|---|---|---|---|---|---|",
+        flush=True,
+    )
+    failed = 0
+    for name in [NAMES[0]] if quick else NAMES:
+        asked = (name, width, height, draw)
+        one = multiprocessing.get_context("spawn").Process(target=browser, args=asked)
+        one.start()
+        one.join(LONGEST)
+        if one.is_alive():
+            one.kill()
+            one.join()
+        if one.exitcode:
+            failed += 1
+            how = f"signal {-one.exitcode}" if one.exitcode < 0 else f"{one.exitcode}"
+            print(
+                f"| {name} | no figures: its process ended by {how} | | | | | |", flush=True
+            )
+    return failed
 
 
 def main(quick: bool) -> None:
@@ -212,8 +277,10 @@ if __name__ == "__main__":
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--browser", action="store_true", help="what a page shows")
     parser.add_argument("--size", default="900x600", help="of the page [pixels]")
+    parser.add_argument("--no-draw", action="store_true", help="as if drawing were free")
     options = parser.parse_args()
+    faulthandler.enable()
     if options.browser:
-        browser(plants(options.quick), *map(int, options.size.split("x")))
-    else:
-        main(options.quick)
+        size = map(int, options.size.split("x"))
+        sys.exit(browsers(*size, not options.no_draw, options.quick))
+    main(options.quick)

@@ -354,9 +354,10 @@ def test_the_command_serves_loopback_and_ends_on_ctrl_c(mesh, tmp_path):
 def test_a_hand_glides_between_two_messages_of_a_page():
     from plantsim.view.hand import Goal, steps
 
-    assert steps(0.05, 1 / 60) == 3
-    assert steps(0.05, 0.2) == 1  # frames are slower than messages
-    assert steps(0.5, 1 / 60) == 1  # messages come late: the page is behind
+    assert steps(0.05, 0.002) == (3, 1 / 60)
+    assert steps(0.05, 0.2) == (1, 0.2)  # frames are slower than messages
+    assert steps(0.1, 0.002) == (4, 1 / 40)  # messages come late: the page is behind
+    assert steps(0.5, 0.002)[0] == 1  # the hand had rested
     at, goal = Goal(np.zeros(3)), Goal(np.array([3.0, 0, -6.0]), np.array([0, 0, 0.3]), 3)
     way = []
     while goal is not None:

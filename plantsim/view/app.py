@@ -34,7 +34,6 @@ from plantsim.view.touching import Balance, Burden, Frame, Touching, beside, hit
 
 LOOPBACK = "127.0.0.1"
 PORT = 8080
-FASTEST = 1 / 60  # [s] between two frames: what screens show
 SLOW = 1 / 5  # [s] between words and colours that change in a drag; the shape goes at once
 AIM = 0.015  # [rad] by which a click may miss the plant: some ten pixels
 TRIES = 10  # equilibria for one place of the hand, which turns with each
@@ -272,7 +271,7 @@ class Viewer:
         self.frame_seconds = time.perf_counter() - began
         self.frames += 1
         self._balance()
-        time.sleep(max(FASTEST - self.frame_seconds, 0.0))
+        time.sleep(max(self._met.pace - self.frame_seconds, 0.0))
 
     def _bear(self) -> None:
         with self._lock:
@@ -340,9 +339,9 @@ class Viewer:
             at, wxyz = event.target.position, event.target.wxyz
             turn = Rotation.from_quat(wxyz[[1, 2, 3, 0]]).as_rotvec()
             now = time.perf_counter()
-            count = steps(now - self._heard, max(FASTEST, self.frame_seconds))
+            count, pace = steps(now - self._heard, self.frame_seconds)
             self._heard = now
-            self._lead(Goal(at - self._start, turn if held else None, count))
+            self._lead(Goal(at - self._start, turn if held else None, count, pace))
 
         self._draw(frame)
 
