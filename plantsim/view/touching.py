@@ -79,6 +79,8 @@ class Touching:
         self._following: Following | None = None  # of a hand, where not linear
         self._asked: tuple[Array, Array | None] = (np.zeros(3), None)  # shift, turn
         self._move: Array = np.zeros((0, 3))
+        self._turns: Array = np.zeros((3, 3))  # of a linear hand [rad/m], a row a direction
+        self._still: tuple[Burden, Array, Array] | None = None  # its sag, and the surface
 
     @property
     def mesh(self) -> TetMesh:
@@ -155,6 +157,13 @@ class Touching:
             return field
         return self._resting().displacement
 
+    def _sagged(self) -> tuple[Array, Array]:
+        """Return the sag and where the surface is with it, kept while the burden is."""
+        if self._still is None or self._still[0] is not self.burden:
+            sag, on = self.sag(), self.mesh.surface_vertices
+            self._still = self.burden, sag, self.mesh.points[on] + sag[on]
+        return self._still[1:]
+
     def _resting(self) -> Equilibrium:
         if self._rest is None:
             self._rest = self.model.solve(*self._loads())
@@ -177,6 +186,10 @@ class Touching:
         if self.linear:
             contact = self.model.contact(found)
             contact.surface_displacement((0, 0, 0))  # made at first use: now, not in a drag
+            arm = self.mesh.points[found] - self.mesh.points[found].mean(axis=0)
+            calm = np.zeros_like(arm)
+            turns = [relief(arm, contact.stiffness, d, calm) for d in np.eye(3)]
+            self._turns = np.stack(turns)
         else:
             following = Following(self._resting(), self._loads(), found)
         self.ids, self._contact, self._following = found, contact, following
@@ -207,11 +220,9 @@ class Touching:
         if self._following is not None:
             self._move = self._following.goal(d, angle)
             return self._frame()
-        arm, contact = self._arm, self._contact
-        assert contact is not None
+        arm = self._arm
         if angle is None:
-            angle = relief(arm, contact.stiffness, d, np.zeros_like(arm))
-            self._move = d + np.cross(angle, arm)
+            self._move = d + np.cross(d @ self._turns, arm)
         else:
             self._move = Rotation.from_rotvec(angle).apply(arm) - arm + d
         return self._frame()
@@ -241,8 +252,8 @@ class Touching:
 
     def _frame(self) -> Frame:
         mesh, on = self.mesh, self.mesh.surface_vertices
-        sag, following = self.sag(), self._following
-        surface = mesh.points[on] + sag[on]
+        sag, surface = self._sagged()
+        following = self._following
         total, exact = np.zeros(3), True
         if self._contact is not None:
             surface = surface + self._contact.surface_displacement(self._move)
