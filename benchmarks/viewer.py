@@ -1,6 +1,7 @@
 """What a frame of the live viewer costs on the side that computes.
 
-    python benchmarks/viewer.py [--quick] [--browser] [--size 900x600] [--no-draw]
+    python benchmarks/viewer.py [--quick] [--browser] [--size 900x600]
+        [--ratio 0.5] [--no-draw]
 
 For plants of some sizes: processor time to take hold of six vertices, and for a frame of a
 drag (surface, force, and all messages made for the page, no page open), as a median; the
@@ -16,7 +17,8 @@ plant went to the graphics card, by hooks on WebGL. Without a graphics card Swif
 draws, by the processor that computes too. Beside it the processor time of the drawing
 process for a picture, and of the page's JavaScript and of Python for one with the plant
 moved. `--no-draw`: calls that draw do nothing, which leaves what a graphics card could not
-take away. Every plant has a process of its own; one that ends without a word is told of.
+take away; `--ratio`: pixels drawn for a page's. Every plant has a process of its own; one
+that ends without a word is told of.
 """
 
 import argparse
@@ -190,7 +192,7 @@ def shaken(page, viewer: Viewer, mesh: ps.TetMesh, spent) -> dict[str, float]:
     }
 
 
-def browser(name: str, width: int, height: int, draw: bool) -> None:
+def browser(name: str, size: tuple[int, int], ratio: float, draw: bool) -> None:
     """Print what a headless Chromium shows of a drag of one plant."""
     from playwright.sync_api import sync_playwright
 
@@ -207,12 +209,12 @@ def browser(name: str, width: int, height: int, draw: bool) -> None:
                 out[process["type"]] += process["cpuTime"]
             return out
 
-        page = chromium.new_page(viewport={"width": width, "height": height})
+        page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
         page.set_default_timeout(120_000)
         page.on("crash", lambda _: print(f"{name}: the page crashed", flush=True))
         page.on("pageerror", lambda why: print(f"{name}: {why}", flush=True))
         page.add_init_script(COUNT if draw else COUNT + NO_DRAW)
-        page.goto(viewer.url)
+        page.goto(f"{viewer.url}/?fixedDpr={ratio}" if ratio else viewer.url)
         page.get_by_text("Let go").wait_for()
         hide = ".mantine-Notifications-root { display: none }"  # lies on the plant
         page.add_style_tag(content=hide)
@@ -226,7 +228,7 @@ def browser(name: str, width: int, height: int, draw: bool) -> None:
     )
 
 
-def browsers(width: int, height: int, draw: bool, quick: bool) -> int:
+def browsers(size: tuple[int, ...], ratio: float, draw: bool, quick: bool) -> int:
     """Look at each plant in a process of its own; return how many failed."""
     print(
         "\n| plant, on the page | computed/s | pictures/s | with the plant moved/s | "
@@ -235,7 +237,7 @@ def browsers(width: int, height: int, draw: bool, quick: bool) -> int:
     )
     failed = 0
     for name in [NAMES[0]] if quick else NAMES:
-        asked = (name, width, height, draw)
+        asked = (name, size, ratio, draw)
         one = multiprocessing.get_context("spawn").Process(target=browser, args=asked)
         one.start()
         one.join(LONGEST)
@@ -277,10 +279,11 @@ if __name__ == "__main__":
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--browser", action="store_true", help="what a page shows")
     parser.add_argument("--size", default="900x600", help="of the page [pixels]")
+    parser.add_argument("--ratio", type=float, default=0.0, help="0: as the page likes")
     parser.add_argument("--no-draw", action="store_true", help="as if drawing were free")
     options = parser.parse_args()
     faulthandler.enable()
     if options.browser:
-        size = map(int, options.size.split("x"))
-        sys.exit(browsers(*size, not options.no_draw, options.quick))
+        size = tuple(map(int, options.size.split("x")))
+        sys.exit(browsers(size, options.ratio, not options.no_draw, options.quick))
     main(options.quick)
