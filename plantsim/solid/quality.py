@@ -4,6 +4,7 @@ import itertools
 from functools import lru_cache
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array
@@ -11,8 +12,6 @@ from plantsim.mesh.tetmesh import (
     FACES,
     INNER,
     boundary,
-    boundary_places,
-    face_order,
     gamma,
     jacobians,
 )
@@ -99,16 +98,17 @@ def _move(
 
 
 def curve(
-    points: Array, tets: Array, solid: Solid, owner: Array | None = None
+    points: Array, tets: Array, solid: Solid, places: Array, owner: Array | None = None
 ) -> tuple[Array, int]:
     """Return points with the surface's middles on the tubes, and the tets held back.
 
     Tets (m, 10) with straight edges. An edge of the surface whose ends are on one limb has
     its middle moved radially to the mean of its ends' distances from the axis, in radii;
     edges within a flat end stay. Where a tet would fold, the middles of its edges go back
-    by halves. `owner`: the limb of each corner where it is known, else -1.
+    by halves. `places`: `boundary_places` of the tets; `owner`: the limb of each corner
+    where it is known, else -1.
     """
-    surface = boundary(tets)
+    surface = boundary(tets, places)
     corners, faces = np.unique(surface[:, :3], return_inverse=True)
     faces, mids = faces.reshape(-1, 3), surface[:, 3:]
     side = ~flat_ends(solid, points[corners])[faces].all(axis=1)
@@ -213,15 +213,20 @@ def flat_ends(solid: Solid, points: Array) -> Array:
     return flat
 
 
-def limb_sets(solid: Solid, points: Array, tets: Array, region: Array) -> dict[str, Array]:
+def limb_sets(
+    solid: Solid, points: Array, tets: Array, region: Array, places: Array
+) -> dict[str, Array]:
     """Return the sets "base", "tips" and, for every limb, its surface: "limb NAME".
+
+    `places`: `boundary_places` of the tets.
 
     "tips": the flat ends of limbs cut flat, the rounded caps of others; limbs that carry
     another at their tip have none.
     """
-    places = boundary_places(face_order(tets, len(points)))
     faces, behind = boundary(tets, places), region[places // len(FACES)]
-    outer = np.unique(faces)
+    of_surface = np.zeros(len(points), dtype=bool)
+    of_surface[faces] = True
+    outer = np.flatnonzero(of_surface)
     tips = np.zeros(len(outer), dtype=bool)
     carries = {t.parent for t in solid.tubes if t.joint > 1 - 1e-6}
     ends = [t for i, t in enumerate(solid.tubes) if i not in carries]
@@ -232,10 +237,11 @@ def limb_sets(solid: Solid, points: Array, tets: Array, region: Array) -> dict[s
         off = points[outer[mine]] - at
         tips[mine] |= off @ tube.tangent(1.0) > -1e-6 * size
     sets = {"base": np.flatnonzero(on_foot(solid, points)), "tips": outer[tips]}
-    n = len(points)
-    pairs = np.unique(behind[:, None] * n + faces)
-    cuts = np.searchsorted(pairs, n * np.arange(1, len(solid.tubes)))
-    for tube, mine in zip(solid.tubes, np.split(pairs % n, cuts), strict=True):
+    at = np.repeat(behind, faces.shape[1]), faces.ravel()
+    once = csr_array((np.ones(faces.size), at), shape=(len(solid.tubes), len(points)))
+    for tube, mine in zip(
+        solid.tubes, np.split(once.indices, once.indptr[1:-1]), strict=True
+    ):
         sets[f"limb {tube.name}"] = mine
     return sets
 

@@ -1,11 +1,14 @@
 """Tubes as rings of points: the part of a plant's surface that needs no kernel."""
 
+import math
+
 import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.solid.sweep import Tube
 
 STEP = 1.5  # spacing of rings [edge lengths around the limb]
+TINY = 1e-30  # squared: no second reflection
 TURN = 0.25  # largest turn of the axis between two rings [rad]
 # A loft at a joint may follow its limb less closely: it is short, and each circle more is
 # 10 ms
@@ -61,18 +64,24 @@ def frames(tube: Tube, u: Array, seam: float = 0.0) -> tuple[Array, Array, Array
     2008, Computation of rotation minimizing frames, double reflection.
     """
     x, t = tube.axis(u), tube.tangent(u)
-    N = np.empty_like(t)
-    N[0] = square(t[0])
+    n = square(t[0])
     v1 = np.diff(x, axis=0)
     c1 = (v1**2).sum(axis=1)
     s = t[:-1] - (2 / c1 * (v1 * t[:-1]).sum(axis=1))[:, None] * v1
     v2 = t[1:] - s
     c2 = (v2**2).sum(axis=1)
-    for i in range(len(u) - 1):
-        r = N[i] - 2 / c1[i] * (v1[i] @ N[i]) * v1[i]
-        n = r - 2 / c2[i] * (v2[i] @ r) * v2[i] if c2[i] > 1e-30 else r
-        n = n - (n @ t[i + 1]) * t[i + 1]
-        N[i + 1] = n / (n @ n) ** 0.5
+    # both reflections and the rest of a step, as one matrix for each
+    flat = np.where(c2 > TINY, 2 / np.maximum(c2, TINY), 0)
+    one = np.eye(3)
+    turns = one - flat[:, None, None] * v2[:, :, None] * v2[:, None]
+    turns = turns @ (one - (2 / c1)[:, None, None] * v1[:, :, None] * v1[:, None])
+    turns = (one - t[1:, :, None] * t[1:, None]) @ turns
+    out = [n]
+    for turn in turns:
+        n = turn @ n
+        n = n / math.sqrt(n @ n)
+        out.append(n)
+    N = np.array(out)
     return x, t, np.cos(seam) * N + np.sin(seam) * np.cross(t, N)
 
 

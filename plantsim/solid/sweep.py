@@ -195,10 +195,8 @@ class Solid:
                 continue
             parent = self.tubes[tube.parent]
             u = tube.stations
-            near = parent.stations
-            d = np.linalg.norm(tube.axis(u)[:, None] - parent.axis(near)[None], axis=2)
-            j = d.argmin(axis=1)
-            outside = d[np.arange(len(u)), j] > parent.radius(near[j])
+            away, near = parent._tree.query(tube.axis(u))
+            outside = away > parent.radius(parent.stations[near])
             out.append(float(u[outside.argmax()]) if outside.any() else 1.0)
         return tuple(out)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from plantsim.arrays import Array
 from plantsim.errors import MeshError, check_kind
-from plantsim.mesh.tetmesh import TetMesh, quadratic
+from plantsim.mesh.tetmesh import TetMesh, boundary_places, face_order, quadratic
 from plantsim.paths import existing
 from plantsim.solid import apart, gmsh_model, occ, union, wild
 from plantsim.solid.foreign import open_geometry
@@ -187,11 +187,13 @@ def _finished(
         region = _timed(note, "label", on_axis, solid, points[tets].mean(axis=1))[0]
     by_limb = np.argsort(region, kind="stable")
     region, tets = region[by_limb], tets[by_limb]
+    places = boundary_places(face_order(tets, len(points)))
     if order == 2:
         points, tets, _ = quadratic(points, tets)
-        points, note["flattened"] = _timed(note, "curve", curve, points, tets, solid, owner)
+        ask = points, tets, solid, places, owner
+        points, note["flattened"] = _timed(note, "curve", curve, *ask)
     names = tuple(t.name for t in solid.tubes)
-    sets = limb_sets(solid, points, tets, region)
+    sets = limb_sets(solid, points, tets, region, places)
     mesh = _timed(note, "check", TetMesh, points, tets, region, sets, names, report)
     note["genus"] = _timed(note, "soundness", check_sound, solid, mesh)
     return mesh
