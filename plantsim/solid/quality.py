@@ -1,7 +1,8 @@
 """Raw mesh to sound mesh: slivers repaired, surfaces curved, limbs labelled."""
 
 import itertools
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -109,8 +110,10 @@ def curve(
     where it is known, else -1.
     """
     surface = boundary(tets, places)
-    corners, faces = np.unique(surface[:, :3], return_inverse=True)
-    faces, mids = faces.reshape(-1, 3), surface[:, 3:]
+    on = np.zeros(len(points), dtype=bool)
+    on[surface[:, :3]] = True
+    corners = np.flatnonzero(on)
+    faces, mids = (np.cumsum(on) - 1)[surface[:, :3]], surface[:, 3:]
     side = ~flat_ends(solid, points[corners])[faces].all(axis=1)
     ends = faces[side][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     middle, where = np.unique(mids[side], return_index=True)
@@ -254,34 +257,32 @@ def on_axis(
     For points (k, 3). The limb is the one given, or the nearest in units of its radius; of
     a child's axis only the part outside its parent counts.
     """
+    if limb is not None:
+        return limb, *_on_own_axis(solid, x, limb)
     owner = np.zeros(len(x), dtype=np.int64)
     ratio, foot, radius = np.full(len(x), np.inf), np.zeros((len(x), 3)), np.ones(len(x))
-    samples = _samples(solid)
-    boxes = _Boxes(x) if limb is None else None
+    axes, boxes = _axes(solid), _Boxes(x)
     for reach in (1.6, np.inf):  # in radii: who is in no limb's box is compared with all
         waiting = np.isinf(ratio)
-        for i, (tree, axis, tangent, r, slope) in enumerate(samples):
-            if limb is not None:
-                rows = np.flatnonzero(waiting & (limb == i))
-            elif boxes is None or reach == np.inf:
+        for i, axis in enumerate(axes):
+            if reach == np.inf:
                 rows = np.flatnonzero(waiting)
             else:
-                rows = boxes.about(axis, reach * r)
+                rows = boxes.about(axis.points, reach * axis.radii)
             if not len(rows):
                 continue
-            at = tree.query(x[rows])[1]
-            along = ((x[rows] - axis[at]) * tangent[at]).sum(axis=1)
-            # samples are half a radius apart: do not run along the tangent beyond
-            last = np.isinf(slope[at])
-            along = np.clip(along, -r[at], np.where(last, 0, r[at]))
-            here = axis[at] + along[:, None] * tangent[at]
-            thick = r[at] + along * np.where(last, 0, slope[at])
-            far = np.linalg.norm(x[rows] - here, axis=1) / thick
+            far, here, thick = axis.near(x[rows], np.asarray(axis.tree.query(x[rows])[1]))
             won = far < ratio[rows]
             mine = rows[won]
             owner[mine], ratio[mine] = i, far[won]
             foot[mine], radius[mine] = here[won], thick[won]
     return owner, ratio, foot, radius
+
+
+def _on_own_axis(solid: Solid, x: Array, limb: Array) -> tuple[Array, Array, Array]:
+    """Return distance from the axis of the limb given in radii, axis point and radius."""
+    axis, tree, apart = _all_axes(solid)
+    return axis.near(x, np.asarray(tree.query(np.c_[x, apart * limb])[1]))
 
 
 class _Boxes:
@@ -305,9 +306,35 @@ class _Boxes:
         return np.unique(np.concatenate(out))
 
 
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """Points along an axis, half a radius apart; or along several."""
+
+    points: Array  # (k, 3) [m]
+    tangents: Array  # (k, 3)
+    radii: Array  # (k,) [m]
+    slopes: Array  # (k,) dr/ds, infinite at tips
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """Tree of the points."""
+        return KDTree(self.points)
+
+    def near(self, x: Array, at: Array) -> tuple[Array, Array, Array]:
+        """Return distance in radii, axis point and radius at x, whose nearest is `at`."""
+        axis, r, slope = self.points[at], self.radii[at], self.slopes[at]
+        along = ((x - axis) * self.tangents[at]).sum(axis=1)
+        # do not run along the tangent beyond
+        last = np.isinf(slope)
+        along = np.clip(along, -r, np.where(last, 0, r))
+        here = axis + along[:, None] * self.tangents[at]
+        thick = r + along * np.where(last, 0, slope)
+        return np.linalg.norm(x - here, axis=1) / thick, here, thick
+
+
 @lru_cache(maxsize=1)  # a mesh asks five times
-def _samples(solid: Solid) -> list[tuple[KDTree, Array, Array, Array, Array]]:
-    """Return a tree of axis points, these, tangents, radii, dr/ds (tips: inf), by tube."""
+def _axes(solid: Solid) -> list[Axis]:
+    """Return the axis of each tube, of a child's the part outside its parent."""
     out = []
     for tube, leaves in zip(solid.tubes, solid.emergence, strict=True):
         u = tube.stations[tube.stations >= leaves]
@@ -315,5 +342,24 @@ def _samples(solid: Solid) -> list[tuple[KDTree, Array, Array, Array, Array]]:
         s = np.r_[0, np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))]
         slope = np.gradient(r, s) if len(u) > 1 else np.zeros(1)
         slope[-1] = np.inf
-        out.append((KDTree(x), x, tube.tangent(u), r, slope))
+        out.append(Axis(x, tube.tangent(u), r, slope))
     return out
+
+
+@lru_cache(maxsize=1)
+def _all_axes(solid: Solid) -> tuple[Axis, KDTree, float]:
+    """Return all axes as one, a tree, and how far apart limbs are in its fourth dimension.
+
+    So that each point finds the axis of its own limb.
+    """
+    axes = _axes(solid)
+    points = np.concatenate([a.points for a in axes])
+    whole = Axis(
+        points,
+        np.concatenate([a.tangents for a in axes]),
+        np.concatenate([a.radii for a in axes]),
+        np.concatenate([a.slopes for a in axes]),
+    )
+    apart = 100 * float(np.ptp(points, axis=0).max() + whole.radii.max())
+    limb = np.repeat(np.arange(len(axes)), [len(a.points) for a in axes])
+    return whole, KDTree(np.c_[points, apart * limb]), apart

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from plantsim.arrays import Array, few
@@ -51,10 +52,11 @@ class Skin:
     @cached_property
     def pairs(self) -> tuple[Array, Array]:
         """Vertices, and the limbs whose surface they are on; those at joints twice."""
-        count = int(self.limb.max()) + 1
-        keys = np.unique(self.faces.ravel() * count + np.repeat(self.limb, 3))
-        vertex, limb = np.divmod(keys, count)
-        return vertex, limb
+        at = self.faces.ravel(), np.repeat(self.limb, 3)
+        shape = len(self.points), int(self.limb.max()) + 1
+        once = csr_array((np.ones(self.faces.size), at), shape=shape)
+        vertex = np.repeat(np.arange(len(self.points)), np.diff(once.indptr))
+        return vertex, once.indices.astype(np.int64)
 
     @cached_property
     def limb_of(self) -> Array:
