@@ -5,7 +5,7 @@ sections. A section has neighbours in one section nearer that end and in some fa
 so sections are a tree, whatever the body is, and its block Cholesky factor, made from the
 far ends on, has no entries beyond it:
 
-    S_c = K_cc - sum over the children d of c of G_d K_dc,   G_c = K_pc S_c^-1,
+    L_c L_c^T = K_cc - sum over the children d of c of H_d H_d^T,   H_c = K_pc L_c^-T,
 
 p the parent of c. All blocks are dense, contiguous, and on a plant some tens wide: every
 step is one matrix product for all right-hand sides, while a sparse factor with half as many
@@ -159,13 +159,12 @@ class Sections:
                     f"direct: K of {K.shape[0]:,} unknowns is not positive definite. If "
                     "singular, hold more vertices."
                 ) from None
-            inverse = half.T @ half
-            G = below @ inverse
+            across = below @ half.T
             above = slice(0, 0)
             if p >= 0:
-                panels[p][: start[p + 1] - start[p]] -= G @ below.T
+                panels[p][: start[p + 1] - start[p]] -= across @ across.T
                 above = slice(start[p], start[p + 1])
-            self._steps.append((slice(a, b), above, inverse, G))
+            self._steps.append((slice(a, b), above, half, across))
 
     @cached_property
     def size(self) -> float:
@@ -179,10 +178,11 @@ class Sections:
         out = np.empty(f.shape)
         for first in range(0, f.shape[1], WIDE):
             x = f[self.layout.order, first : first + WIDE]
-            for own, above, _, G in self._steps:
-                x[above] -= G @ x[own]
-            for own, above, inverse, G in reversed(self._steps):
-                x[own] = inverse @ x[own] - G.T @ x[above]
+            for own, above, half, across in self._steps:
+                x[own] = half @ x[own]
+                x[above] -= across @ x[own]
+            for own, above, half, across in reversed(self._steps):
+                x[own] = half.T @ (x[own] - across.T @ x[above])
             out[self.layout.order, first : first + WIDE] = x
         return out
 
