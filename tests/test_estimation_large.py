@@ -115,7 +115,7 @@ def test_touches_at_large_rotation_give_the_limbs_within_their_intervals(prior, 
 def test_exact_touches_give_the_exact_limbs_and_a_linear_model_does_not(
     truth, prior, patches
 ):
-    seen = [ps.observe(truth, ps.move(p, (0.09, 0.05, -0.11))) for p in patches[1:]]
+    seen = [ps.observe(truth, ps.move(p, (0.072, 0.04, -0.088))) for p in patches[1:]]
     found = ps.estimate(prior, seen)
     assert found.young() == pytest.approx(YOUNG, rel=1e-3)
     straight = ps.ElasticModel(prior.mesh, prior.material)

@@ -153,3 +153,22 @@ def test_no_stray_output(capfd, tmp_path, monkeypatch):
     with pytest.raises(ps.MeshError):
         ps.tetrahedralize(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGPIPE"), reason="no such signal on this system")
+def test_a_pipe_closed_at_its_other_end_is_an_error_after_meshing_too():
+    """Gmsh resets SIGPIPE: the viewer then died of a page that closed, without a word."""
+    script = (
+        "import os, plantsim as ps\n"
+        "ps.tetrahedralize(ps.sweep(ps.straight(0.2, 0.02)), 1.4, order=1)\n"
+        "out, into = os.pipe()\n"
+        "os.close(out)\n"
+        "try:\n"
+        "    os.write(into, b'x')\n"
+        "except BrokenPipeError:\n"
+        "    print('told')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "told\n"

@@ -8,6 +8,7 @@ return no tets.
 import ctypes
 import os
 import re
+import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -58,7 +59,13 @@ def session(**options: float) -> Iterator[Any]:
     check_free()
     pointers: dict[Any, Any] = getattr(ctypes, "_pointer_type_cache", {})
     known = set(pointers)
+    pipe = getattr(signal, "SIGPIPE", None)  # not on Windows
+    before = None if pipe is None else signal.getsignal(pipe)
     gmsh.initialize(readConfigFiles=False, interruptible=False)
+    if pipe is not None and before is not None:
+        # gmsh has undone Python's choice: a socket closed at its other end would end
+        # the process without a word, for ever after
+        signal.signal(pipe, before)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber(
