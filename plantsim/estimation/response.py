@@ -272,7 +272,8 @@ def _factor(
     model: ElasticModel, free: Array, like: Response | None
 ) -> tuple[Factor, Layout | None]:
     """Return the factor of K, along sections if those are thin, and the sections."""
-    if not (len(free) and isinstance(choose(model.solver, 3 * len(free)), Direct)):
+    direct = isinstance(choose(model.solver, 3 * len(free)), Direct)
+    if not (len(free) and direct) or model.about_a_state:  # whose K may be indefinite
         return model.base_factor()[1], None
     K = model.pattern.condense(model.stiffness, free, free)
     known = like._layout if isinstance(like, LinearResponse) else None
