@@ -103,10 +103,12 @@ def viewing(folder: Path, port: int) -> Iterator[None]:
         try:
             ready = f":{port} ("
             until(
-                lambda: ready in (folder / "view.log").read_text() or child.poll(),
+                lambda: (
+                    ready in (folder / "view.log").read_text() or child.poll() is not None
+                ),
                 "the viewer's address",
             )
-            if child.poll():
+            if child.poll() is not None:
                 raise RuntimeError((folder / "view.log").read_text())
             yield
         finally:

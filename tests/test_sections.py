@@ -6,6 +6,7 @@ import skfem
 
 import plantsim as ps
 from plantsim.errors import SolverError
+from plantsim.solve.direct import Direct
 from plantsim.solve.sections import WIDE, Layout, Sections
 
 
@@ -94,3 +95,14 @@ def test_ill_conditioned_bodies_are_solved_as_well_as_by_a_sparse_factor(fork, l
         return np.linalg.norm(u - known) / np.linalg.norm(known)
 
     assert off(Sections(K, Layout(K))(f)[0]) <= 10 * off(sparse(f)[0])
+
+
+def test_an_estimate_keeps_to_the_tolerance_of_the_model_s_solver(fork):
+    mesh = fork.with_order(1)
+    tip = ps.nearest_vertices(mesh, (0, 0, 9), count=3)
+    load = ps.force(tip, (0, 0, -9.0))
+    truth = ps.ElasticModel(mesh, ps.Material())
+    seen = ps.observe(truth, load, displacement_noise=1e-4, rng=1)
+    strict = ps.ElasticModel(mesh, ps.Material(), solver=Direct(1e-30))
+    with pytest.raises(SolverError, match=r"wanted 1\.0e-30"):
+        ps.estimate(strict, [seen])

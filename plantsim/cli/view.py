@@ -82,7 +82,8 @@ def view(
             touches=touches,
         )
     # Ctrl-C is the way to end it, from the moment that it is told of
-    faulthandler.enable()  # else a crash in C would end it without a word
+    with contextlib.suppress(RuntimeError, ValueError, OSError):  # there is no stderr
+        faulthandler.enable()  # else a crash in C would end it without a word
     with viewer, contextlib.suppress(KeyboardInterrupt):
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         with reporting(json) as report:

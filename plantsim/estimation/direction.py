@@ -2,7 +2,8 @@
 
 An iteration of CG takes two back-solves a case, the whole Hessian one a case and column.
 So one is made for few columns, and preconditions CG at later iterates until it is worn.
-Many right-hand sides at once cost a third each of ten, so few cases have it made anew.
+Along sections many right-hand sides at once cost a third each of ten: few cases have it
+made anew.
 """
 
 from collections.abc import Callable

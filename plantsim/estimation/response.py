@@ -10,9 +10,9 @@ and for a change v of the log-moduli, with x = K^-1 (W(u) diag(theta) v),
 
     df = S^-1 x_C,   du = -(x - Y df).
 
-The transposes cost one back-solve too. All load cases share K. They are cut in shares of a
-few, each carried right through by one thread; sums go from share to share in order, so the
-numbers do not depend on how many threads there are.
+The transposes cost one back-solve too. All load cases share K. With a sparse factor they
+are cut in shares of a few, each carried right through by one thread; sums go from share to
+share in order, so the numbers do not depend on how many threads there are.
 """
 
 from abc import ABC, abstractmethod
@@ -272,13 +272,16 @@ def _factor(
     model: ElasticModel, free: Array, like: Response | None
 ) -> tuple[Factor, Layout | None]:
     """Return the factor of K, along sections if those are thin, and the sections."""
-    direct = isinstance(choose(model.solver, 3 * len(free)), Direct)
-    if not (len(free) and direct) or model.about_a_state:  # whose K may be indefinite
+    solver = choose(model.solver, 3 * len(free))
+    # about a state K may be indefinite
+    if not (len(free) and isinstance(solver, Direct)) or model.about_a_state:
         return model.base_factor()[1], None
     K = model.pattern.condense(model.stiffness, free, free)
     known = like._layout if isinstance(like, LinearResponse) else None
     layout = Layout(K) if known is None else known
-    return Sections(K, layout) if layout.thin else model.base_factor()[1], layout
+    if layout.thin:
+        return Sections(K, layout, solver.tolerance), layout
+    return model.base_factor()[1], layout
 
 
 def total(parts: Sequence[Array]) -> Array:
