@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from plantsim.arrays import Array
+from plantsim.errors import SolverError
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,18 @@ def backward_error(K: Any, size: float, u: Array, f: Array) -> Array:
     Ku = np.stack([K @ x for x in u.T], axis=1) if many else K @ u
     scale = size * norm(u) + norm(f)
     return norm(Ku - f) / np.where(scale > 0, scale, 1)
+
+
+def accepted(K: Any, size: float, u: Array, f: Array, tolerance: float) -> Array:
+    """Return the backward errors of a direct solve; SolverError where one is too large."""
+    error = backward_error(K, size, u, f)
+    if not (error <= tolerance).all():
+        raise SolverError(
+            f"direct: backward error {error.max():.1e}, wanted {tolerance:.1e}. "
+            "The system is nearly singular: hold more vertices, or check for moduli of "
+            "very different size."
+        )
+    return error
 
 
 def norm(x: Array) -> Array:
