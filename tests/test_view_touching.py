@@ -265,7 +265,7 @@ def test_a_far_frame_costs_what_a_near_one_does(large, grip):
 def test_a_hand_that_turns_freely_comes_to_balance_in_few_equilibria(large, grip):
     touching = Touching(large)
     touching.hold(grip)
-    touching.drag((0.05, 0.0, -0.12))
+    touching.drag((0.04, 0.0, -0.10))
     torques = []
     for _ in range(4):
         solve = touching.correction()
@@ -277,6 +277,6 @@ def test_a_hand_that_turns_freely_comes_to_balance_in_few_equilibria(large, grip
         felt = (hand.state.force - hand.rest.force)[grip]
         torques.append(np.linalg.norm(np.cross(at - at.mean(axis=0), felt).sum(axis=0)))
     assert touching.correction() is None
-    # forces within the patch turn with it; taken for fixed, a fifth is left, not 0.06
-    assert len(torques) <= 3
-    assert torques[1] < 0.1 * torques[0]
+    # forces within the patch turn with it; taken for fixed, three times as much is left
+    assert len(torques) == 2
+    assert torques[1] < 0.06 * torques[0]
