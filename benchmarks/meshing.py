@@ -1,6 +1,7 @@
 """How often, how fast and how well plants are meshed, beside fTetWild, TetGen and gmsh.
 
     python benchmarks/meshing.py trees --kernel union --limbs 100 --count 100
+    python benchmarks/meshing.py given --kernel union --limbs 100 --count 8
     python benchmarks/meshing.py peers --limbs 30 --count 5
     python benchmarks/meshing.py species --kernel union --seeds 25 [--only NAME]
     python benchmarks/meshing.py agree [--only NAME]
@@ -29,6 +30,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from statistics import median
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from littered import littered
@@ -103,6 +105,19 @@ def trees(log: Log, kernel: str, limbs: int, count: int) -> None:
     for seed in range(FIRST, FIRST + count):
         key = ("trees", f"random tree, {limbs} limbs", seed, kernel)
         log.add(key, lambda s=seed: ours(random_tree(limbs, s), kernel))
+
+
+def given(log: Log, kernel: str, limbs: int, count: int) -> None:
+    """Mesh trees in turn as they are, and with surfaces not made Delaunay before."""
+    from plantsim.solid import gmsh_model
+
+    for seed in range(FIRST, FIRST + count):
+        plant = random_tree(limbs, seed)
+        for way in ("", ", surface as given"):
+            ask = mock.patch.object(gmsh_model, "conforming", return_value=None)
+            with ask if way else contextlib.nullcontext():
+                key = ("given", f"random tree, {limbs} limbs", seed, kernel + way)
+                log.add(key, lambda p=plant: ours(p, kernel))
 
 
 def species(log: Log, kernel: str, seeds: int, only: str) -> None:
@@ -301,7 +316,7 @@ def table(log: Log) -> None:
         "plants | mesher | meshed | at once | median CPU s | worst | median tets "
         "| median worst gamma | worst gamma"
     )
-    for section in ("trees", "species", "peers"):
+    for section in ("trees", "given", "species", "peers"):
         rows = list(log.of(section))
         if not rows:
             continue
@@ -352,7 +367,7 @@ def ratios(log: Log) -> None:
 
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    sections = ("trees", "peers", "species", "agree", "refine", "pool", "repeat", "table")
+    sections = "trees given peers species agree refine pool repeat table".split()
     options.add_argument("section", choices=sections)
     options.add_argument("--kernel", choices=("occ", "union"), default="union")
     options.add_argument("--limbs", type=int, default=100)
@@ -360,22 +375,24 @@ def main() -> None:
     options.add_argument("--seeds", type=int, default=25, help="of every species")
     options.add_argument("--only", default="", help="one species")
     options.add_argument("--log", type=Path, default=Path("meshing.jsonl"))
-    given = options.parse_args()
-    if given.section == "pool":
-        return pool(given.kernel, given.count)
-    if given.section == "refine":
-        return refine(given.only or "strawberry")
-    log = Log(given.log)
-    if given.section == "trees":
-        trees(log, given.kernel, given.limbs, given.count)
-    elif given.section == "peers":
-        peers(log, given.limbs, given.count)
-    elif given.section == "species":
-        species(log, given.kernel, given.seeds, given.only)
-    elif given.section == "agree":
-        agree(log, given.only)
-    elif given.section == "repeat":
-        repeat(log, given.seeds, given.only)
+    asked = options.parse_args()
+    if asked.section == "pool":
+        return pool(asked.kernel, asked.count)
+    if asked.section == "refine":
+        return refine(asked.only or "strawberry")
+    log = Log(asked.log)
+    if asked.section == "trees":
+        trees(log, asked.kernel, asked.limbs, asked.count)
+    elif asked.section == "given":
+        given(log, asked.kernel, asked.limbs, asked.count)
+    elif asked.section == "peers":
+        peers(log, asked.limbs, asked.count)
+    elif asked.section == "species":
+        species(log, asked.kernel, asked.seeds, asked.only)
+    elif asked.section == "agree":
+        agree(log, asked.only)
+    elif asked.section == "repeat":
+        repeat(log, asked.seeds, asked.only)
     return table(log)
 
 

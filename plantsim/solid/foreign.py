@@ -150,7 +150,7 @@ def _fill(gmsh_model: Any, points: Array, faces: Array) -> tuple[Array, Array]:
     """Fill by HXT, or by Delaunay where that fails, and mend slivers inside."""
     still = np.ones(len(points), dtype=bool)
     try:
-        first = gmsh_model.able(gmsh_model.HXT, points, faces)
+        first = gmsh_model.able(gmsh_model.HXT, len(points), len(faces))
         x, tets = gmsh_model.fill(points, faces, still, first)
     except MeshError:
         x, tets = gmsh_model.fill(points, faces, still, gmsh_model.DELAUNAY)

@@ -20,6 +20,7 @@ import numpy as np
 from plantsim.arrays import Array
 from plantsim.errors import DependencyError, MeshError
 from plantsim.mesh.tetmesh import GMSH_ORDER
+from plantsim.solid.delaunay import conforming, with_middles
 from plantsim.solid.heap import fresh_heap, room_behind
 from plantsim.solid.rings import Ring
 
@@ -239,13 +240,13 @@ def _end_faces(seams: Sequence[Ring], around: int) -> set[int]:
     return discs
 
 
-def able(algorithm: int, points: Array, faces: Array) -> int:
+def able(algorithm: int, points: int, faces: int) -> int:
     """Return the 3D algorithm to fill a surface by: the wanted one, or Delaunay for HXT.
 
-    HXT may go beyond arrays with a value per point or triangle (`heap.fresh_heap`), and is
-    used where that does no harm.
+    For so many points and triangles: HXT may go beyond arrays with a value for each
+    (`heap.fresh_heap`), and is used where that does no harm.
     """
-    behind = (room_behind(8 * len(points)), room_behind(8 * len(faces)))
+    behind = (room_behind(8 * points), room_behind(8 * faces))
     return DELAUNAY if algorithm == HXT and min(behind) < ROOM else algorithm
 
 
@@ -255,10 +256,11 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
     The filler gets the surface shaken along its normals by some thousandths of its edges.
     Rings have many points on one sphere, of which it would make tets without volume, a
     tenth of all; shaken every way four points of a ring still leave its plane, and most of
-    those tets stay. Points in the mask `flat` (n,) are not shaken, so that flat ends stay
-    flat. Where HXT needs further points to keep the surface, which is where it reads what
-    it did not write, it gets the surface shaken in another way. Raises MeshError if it
-    always does.
+    those tets stay. Points in the mask `flat` (n,) stay in the plane of their triangles.
+    HXT gets the surface made `conforming`, where that can be, with a few more points, which
+    follow those given. Where it cannot, and HXT needs further points to keep the surface,
+    which is where it reads what it did not write, it gets it shaken in another way. Raises
+    MeshError if it always does.
     """
     ends = points[faces]
     along = np.roll(ends, -1, axis=1) - ends
@@ -268,18 +270,28 @@ def fill(points: Array, faces: Array, flat: Array, algorithm: int) -> tuple[Arra
     across = np.cross(along[:, 0], along[:, 1])[:, None]
     # each corner's share by the sine of its angle: a strip's triangles meet evenly there
     across = across / (edge * np.roll(edge, 1, axis=1))[:, :, None]
-    normal = np.zeros_like(points)
-    np.add.at(normal, faces.ravel(), across.reshape(-1, 3))
-    normal[flat] = 0
+    normal, end = np.zeros_like(points), np.zeros_like(points)
+    disc = flat[faces].all(axis=1)
+    for out, mine in ((normal, ~disc), (end, disc)):
+        np.add.at(out, faces[mine].ravel(), across[mine].reshape(-1, 3))
+    end /= np.maximum(np.linalg.norm(end, axis=1), 1e-300)[:, None]
+    normal -= (normal * end).sum(axis=1)[:, None] * end  # a rim stays in its plane
     size = np.linalg.norm(normal, axis=1)
     normal *= (local / np.where(size > 0, size, np.inf))[:, None]
     # where nothing is shaken, HXT would do the same each time
     for seed in range(SHAKES if algorithm == HXT and not flat.all() else 1):
         shake = np.random.default_rng(seed).uniform(-SHAKE, SHAKE, len(points))
-        filled = _filled(points + shake[:, None] * normal, faces, algorithm)
+        shaken = points + shake[:, None] * normal
+        ask, ends = faces, np.zeros((0, 2), dtype=np.int64)
+        if algorithm == HXT and not flat.all():
+            made = conforming(shaken, faces, flat)
+            if made and able(HXT, len(points) + len(made[1]), len(made[0])) == HXT:
+                ask, ends = made
+        filled = _filled(with_middles(shaken, ends), ask, algorithm)
         if filled is not None:
             xyz, tets = (part.copy() for part in filled)  # not where the heap was fresh
-            xyz[: len(points)] = points
+            given = with_middles(points, ends)
+            xyz[: len(given)] = given
             return xyz, tets
     raise MeshError("gmsh: HXT cannot keep the surface without points of its own.")
 

@@ -60,6 +60,8 @@ def fresh_heap() -> Iterator[Callable[[], None]]:
         yield lambda: None
         return
     holes = _Chunks(libc)
+    collecting = gc.isenabled()
+    gc.disable()  # what is made inside stays of the youngest generation
 
     def begin() -> None:
         libc.mallopt(MMAP_THRESHOLD, LARGEST)
@@ -71,7 +73,9 @@ def fresh_heap() -> Iterator[Callable[[], None]]:
     try:
         yield begin
     finally:
-        gc.collect()  # types that ctypes makes for arrays are in cycles
+        gc.collect(0)  # types that ctypes makes for arrays are in cycles
+        if collecting:
+            gc.enable()
         # lists of freed chunks hold some of what was asked for inside: they are to hold
         # what lies lower, or the next fill would begin behind those, and the heap grow
         holes.take_listed()

@@ -166,6 +166,10 @@ class Tube:
     def _tree(self) -> KDTree:
         return KDTree(self.axis(self.stations))
 
+    def radius_near(self, x: Array) -> Array:
+        """Return the radii (k,) [m] at the stations nearest to points x (k, 3)."""
+        return self.radius(self.stations)[self._tree.query(x)[1]]
+
     def foot(self, x: Array) -> tuple[Array, Array]:
         """Return axis points (k, 3) near points x (k, 3) and the radii (k,) there."""
         at = self.stations[self._tree.query(x)[1]]

@@ -135,7 +135,7 @@ def _climbed(
                     ask = solid, around, growth, turn, whole
                     skin = _timed(note, "surface", occ.surface, *ask)
                 flat = flat_ends(solid, skin[0])
-                used = gmsh_model.able(algorithm, *skin)
+                used = gmsh_model.able(algorithm, *map(len, skin))
                 note["algorithm"] = gmsh_model.NAMES[used]
                 ask = *skin, flat, used
                 return finish(*_timed(note, "fill", gmsh_model.fill, *ask))

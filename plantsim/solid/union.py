@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.spatial import KDTree
 
 from plantsim.arrays import Array, few
 from plantsim.errors import MeshError
@@ -166,8 +165,7 @@ def _radii(solid: Solid, union: Skin) -> tuple[Array, Array, Array]:
     for i, tube in enumerate(solid.tubes):
         mine = vertex[limb == i]
         if len(mine):
-            at = KDTree(tube.axis(tube.stations)).query(union.points[mine])[1]
-            r = tube.radius(tube.stations)[at]
+            r = tube.radius_near(union.points[mine])
             least[mine] = np.minimum(least[mine], r)
             greatest[mine] = np.maximum(greatest[mine], r)
     return least, greatest, np.bincount(vertex, minlength=n) > 1
@@ -214,7 +212,7 @@ def meshed(
             if "algorithm" in note:
                 note = {"zone": zone}
                 attempts.append(note)
-            used = gmsh_model.able(algorithm, skin.points, skin.faces)
+            used = gmsh_model.able(algorithm, len(skin.points), len(skin.faces))
             note["algorithm"] = gmsh_model.NAMES[used]
             points, tets = skin.points, np.zeros((0, 4), dtype=np.int64)
             try:
