@@ -39,7 +39,9 @@ def direction_of(
     def product(v: Array) -> Array:
         return v + here.hessian(v) / here.temper
 
-    step, P, HP = conjugate_step(product, g, memory.inverse(here.temper), most, dear)
+    inverse = memory.inverse(here.temper)
+    ways = memory.inverse(here.temper, among=True), inverse
+    step, P, HP = conjugate_step(product, g, ways, most, dear)
     memory.add(P, (HP - P) * here.temper)
     memory.worn = len(P) > WORN
     return step, len(P)
@@ -48,7 +50,7 @@ def direction_of(
 def conjugate_step(
     product: Callable[[Array], Array],
     g: Array,
-    inverse: Callable[[Array], Array],
+    inverse: Callable[[Array], Array] | tuple[Callable[[Array], Array], ...],
     most: int,
     dear: float,
 ) -> tuple[Array, Array, Array]:
@@ -70,8 +72,9 @@ def conjugate_step(
     window = LATELY if np.isfinite(dear) else 1
     least = RESIDUAL**2 * _dot(g, g)
     gains: list[float] = []
+    ways = inverse if isinstance(inverse, tuple) else (inverse,)
     for k in range(most):
-        p = inverse(r)
+        p = ways[min(k, len(ways) - 1)](r)
         p -= np.einsum("ij,i->j", P[:k], np.einsum("ij,j->i", HP[:k], p))
         Hp = product(p)
         size = np.sqrt(_dot(p, Hp))
@@ -116,7 +119,7 @@ class Memory:
         """Forget all."""
         self.kept = []
 
-    def inverse(self, temper: float) -> Callable[[Array], Array]:
+    def inverse(self, temper: float, among: bool = False) -> Callable[[Array], Array]:
         """Return the approximate inverse of I + A / temper: L-BFGS, two loops."""
         pairs = []
         for v, Av in self.kept:
@@ -126,7 +129,7 @@ class Memory:
         scale = 1.0
         if pairs and self.whole is None:
             # what is not remembered is as stiff as what was last found
-            scale = _dot(pairs[-1][0], pairs[-1][0])
+            scale = 0.0 if among else _dot(pairs[-1][0], pairs[-1][0])
         whole = None
         if self.whole is not None:
             whole = cho_factor(self.whole / temper + np.eye(len(self.whole)))

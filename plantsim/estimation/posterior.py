@@ -65,8 +65,10 @@ class Posterior:
         back = rows.T.toarray() if hasattr(rows, "toarray") else np.asarray(rows).T
         g = self.objective.chart.adjoint(back)
         prior = np.einsum("ij,ij->j", g, g)
-        seen = (self.values / (1 + self.values)) @ (self.vectors.T @ g) ** 2
-        return prior, np.maximum(prior - seen, 0.0)
+        along = (self.vectors.T @ g) ** 2
+        if self.exact:  # no difference of what is nearly equal
+            return prior, (1 / (1 + self.values)) @ along
+        return prior, np.maximum(prior - self.values / (1 + self.values) @ along, 0.0)
 
     @property
     def tet_std(self) -> Array:
