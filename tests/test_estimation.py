@@ -100,6 +100,28 @@ def test_noise_in_force_pulls_towards_the_prior(truth, touches):
     assert errors[1] < 0.05
 
 
+def test_noise_is_drawn_entry_by_entry(truth, touches):
+    move = ps.move(touches[0].moved, (0.002, 0, 0))
+    clean = ps.observe(truth, move)
+    by_f = 0.02 * np.abs(clean.force)
+    by_u = np.linspace(0, 1e-3, len(clean.seen))
+    off = []
+    for seed in range(200):
+        seen = ps.observe(truth, move, force_noise=by_f, displacement_noise=by_u, rng=seed)
+        off.append(((seen.force - clean.force) / by_f, seen.displacement[1:]))
+    assert np.array_equal(seen.noise_of("force"), by_f)
+    assert np.array_equal(seen.noise_of("displacement"), np.tile(by_u[:, None], 3))
+    force, u = (np.array(part) for part in zip(*off, strict=True))
+    assert force.std(axis=0) == pytest.approx(np.ones(by_f.shape), rel=0.25)
+    spread = (u - clean.displacement[1:]).std(axis=(0, 2)) / by_u[1:]
+    assert spread == pytest.approx(np.ones(len(by_u) - 1), rel=0.25)
+    with pytest.raises(ps.EstimateError, match="shape"):
+        ps.observe(truth, move, force_noise=by_f[1:], rng=0)
+    grip = ps.grasp(touches[0].moved, translation=(0.002, 0, 0))
+    with pytest.raises(ps.EstimateError, match="wrench"):
+        ps.observe(truth, grip, force_noise=by_f, rng=0)
+
+
 def test_any_cvxpy_solver_by_name(truth, touches):
     prior = truth.with_material(ps.Material(6e9, 0.3))
     a = ps.estimate(prior, touches, solver="CLARABEL", **PAPER).young()["1"]

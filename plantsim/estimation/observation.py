@@ -149,8 +149,8 @@ def observe(
     touch: Load | Grasp,
     *loads: Load,
     seen: ArrayLike | str | None = None,
-    displacement_noise: float = 0.0,
-    force_noise: float = 0.0,
+    displacement_noise: float | Array = 0.0,
+    force_noise: float | Array = 0.0,
     torque_noise: float | None = None,
     feels: str = "auto",
     rng: Random | None = None,
@@ -161,13 +161,16 @@ def observe(
     wrench alone is felt; or a load that is hung on. `loads` come with the touch. `seen`:
     the vertices whose displacement is seen (ids, mask or set; `ps.visible_vertices` tells
     what a camera sees), all where None, none where empty. The noise [m, N] is normal,
-    independent in every component, and needs an `rng`; pass one Generator for all touches
-    if they are to differ. `torque_noise` [N m]: by default the force's times the patch's
+    independent in every component, of one standard deviation or one an entry as in
+    `Observation`, and needs an `rng`; pass one Generator for all touches if they are to
+    differ. A wrench has one; `torque_noise` [N m]: by default the force's times the patch's
     radius. `feels`: "forces", "wrench", "total" (force at the wrist), "nothing", or "auto"
     as above. The gripper knows its own motion.
     """
     check_kind(model, ElasticModel, "observe", EstimateError)
-    if rng is None and (displacement_noise or force_noise or torque_noise):
+    if rng is None and any(
+        np.any(noise) for noise in (displacement_noise, force_noise, torque_noise or 0)
+    ):
         raise EstimateError("noise without rng. Pass one numpy Generator for all touches.")
     if feels == "auto":
         feels = "wrench" if isinstance(touch, Grasp) else "forces"
@@ -191,7 +194,7 @@ def observe(
         # an applied load is not felt by the gripper
         f = state.force[state.moved] - acting.force[state.moved]
         felt = {
-            "force": f + force_noise * random.normal(size=f.shape),
+            "force": f + _per_entry(force_noise, f) * random.normal(size=f.shape),
             "force_noise": force_noise,
         }
     elif len(state.moved) and feels != "nothing":
@@ -199,6 +202,8 @@ def observe(
         moved = state.displacement[state.moved]
         modes = wrench_modes(arms(model, state.moved, moved))[:, :size]
         w = modes.T @ (state.force - acting.force)[state.moved].ravel()
+        if np.ndim(force_noise):
+            raise EstimateError("one force_noise for each vertex, but a wrench is felt.")
         noise = np.full(size, float(force_noise))
         if size == 6:
             arm = np.sqrt((modes[:, 3:] ** 2).sum() / (2 * len(state.moved)))
@@ -208,12 +213,24 @@ def observe(
         moved=state.moved,
         move=state.displacement[state.moved],
         seen=ids,
-        displacement=u + displacement_noise * random.normal(size=u.shape),
+        displacement=u + _per_entry(displacement_noise, u) * random.normal(size=u.shape),
         displacement_noise=displacement_noise,
         loaded=at,
         load=acting.force[at],
         **felt,
     )
+
+
+def _per_entry(noise: float | Array, values: Array) -> Array:
+    """Return standard deviations of (k, 3) values: (), (k,) and (k, 3) made (k, 3)."""
+    given = np.asarray(noise, dtype=float)
+    if given.shape not in ((), values.shape[:1], values.shape):
+        raise EstimateError(
+            f"noise of shape {given.shape} for values of shape {values.shape}. Give one "
+            "number, one an entry, or one a vertex."
+        )
+    column = given[:, None] if given.ndim == 1 else given
+    return np.broadcast_to(column, values.shape)
 
 
 def arms(model: ElasticModel, ids: Array, move: Array) -> Array:
