@@ -67,6 +67,7 @@ def test_gallery_has_a_place_for_each(state, tmp_path):
     assert filled[3] == 0
     with pytest.raises(ps.ModelError, match="empty gallery"):
         ps.figure_gallery([], tmp_path / "b.png")
+    assert ps.figure_gallery((m for m in [mesh]), tmp_path / "c.png").exists()
 
 
 @pytest.mark.parametrize(("kind", "element"), [("gif", "<img"), ("mp4", "<video")])

@@ -23,6 +23,7 @@ def values():
         "model": model,
         "state": state,
         "touch": seen,
+        "contact": model.contact([50]),
         "number": 3.0,
         "nothing": None,
         "name": "x",

@@ -52,7 +52,7 @@ def write_surface(
     """
     path = writable(path, *SURFACES)
     suffix = path.suffix.lower()
-    if isinstance(mesh, Bent):
+    if isinstance(mesh, Bent) and not callable(mesh.displacement):  # as a contact's is
         if displacement is not None:
             raise ModelError(
                 "a state and a displacement. Give one of them: write_surface(state, path), "

@@ -1,7 +1,7 @@
 """Figures in three dimensions, in the paper's style, drawn off screen."""
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +124,7 @@ def figure_posterior(
 
 
 def figure_gallery(
-    plants: Sequence[Any] | Mapping[str, Any],
+    plants: Iterable[Any] | Mapping[str, Any],
     out: str | os.PathLike[str],
     *,
     columns: int = 4,
@@ -134,7 +134,7 @@ def figure_gallery(
     `plants`: `Solid`, `TetMesh` and `Equilibrium` values, or a mapping of titles to them;
     each to its own scale. Returns the path of the PNG.
     """
-    if not isinstance(plants, Mapping | Sequence) or isinstance(plants, str):
+    if not isinstance(plants, Iterable) or isinstance(plants, str):
         raise ModelError(
             f"a gallery of one {type(plants).__name__}. Give a list of plants, or a "
             "mapping of titles to them."
