@@ -13,7 +13,8 @@ the truth's mean moduli. Methods: maximum a posteriori, and force balance by the
 rows of contact (the paper's formula) or of all free vertices, which need every vertex
 around a touched one and so cannot do with one camera. Without a mesh, two plants of our
 own, a fork and an apple of eight limbs. Errors are those of `ps.score` over 12 unseen
-touches, as ratios 0-shot / n-shot: medians over meshes and seeds, and the range.
+touches, as ratios 0-shot / n-shot: the median over meshes of each one's median over seeds,
+and the range of all.
 
 With `--one-each` seed k goes to mesh k alone. With `--log` every row is kept, and a run
 that was cut goes on where it was.
@@ -22,7 +23,7 @@ that was cut goes on where it was.
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -33,6 +34,7 @@ from scipy.sparse.linalg import splu
 
 import plantsim as ps
 from plantsim.elastic.loads import Move
+from plantsim.estimation.prediction import Score
 
 PAPER = {0: (1.61, 13.411), 1: (1.60, 13.394), 5: (1.08, 9.330), 10: (1.07, 6.733)}
 PRIORS = ("reference", "third")
@@ -157,7 +159,7 @@ def experiment(
             after = ps.score(found, truth, unseen)
         except ps.PlantsimError as why:
             print(f"{method}, {n} shots: {why}", flush=True)
-            after = ps.Score(np.nan, np.nan, np.nan, np.nan)
+            after = Score(np.nan, np.nan, np.nan, np.nan)
         spent = time.process_time() - began
         yield Row(
             name,
@@ -195,20 +197,31 @@ def table(rows: list[Row]) -> str:
         if not some:
             lines.append(f"| {' | '.join(map(str, key))} | failed | | | | |")
             continue
-        v = [r.prior_visual / r.visual for r in some]
-        t = [r.prior_tactile / r.tactile for r in some]
+        cells = []
+        for what in ("visual", "tactile"):
+            cells.append(f"{typical(some, lambda r, w=what: getattr(r, w)):.3g}")
+            x = [better(r, what) for r in some]
+            middle = typical(some, lambda r, w=what: better(r, w))
+            cells.append(f"{middle:.3g} ({min(x):.3g} to {max(x):.3g})")
         lines.append(
-            f"| {' | '.join(map(str, key))} | "
-            f"{np.median([r.visual for r in some]):.3g} | {_spread(v)} | "
-            f"{np.median([r.tactile for r in some]):.3g} | {_spread(t)} | "
-            f"{np.median([r.seconds for r in some]):.2g}"
+            f"| {' | '.join(map(str, key))} | {' | '.join(cells)} | "
+            f"{typical(some, lambda r: r.seconds):.2g}"
             f"{f' ({failed} failed)' if failed else ''} |"
         )
     return "\n".join(lines)
 
 
-def _spread(x: list[float]) -> str:
-    return f"{np.median(x):.3g} ({min(x):.3g} to {max(x):.3g})"
+def better(row: Row, what: str) -> float:
+    """Return how many times the prior's error the estimate's goes into."""
+    return getattr(row, f"prior_{what}") / getattr(row, what)
+
+
+def typical(rows: list[Row], value: Callable[[Row], float]) -> float:
+    """Return the median over meshes of each one's median over seeds."""
+    by_mesh: dict[str, list[float]] = {}
+    for row in rows:
+        by_mesh.setdefault(row.mesh, []).append(value(row))
+    return float(np.median([np.nanmedian(x) for x in by_mesh.values()]))
 
 
 def draw(rows: list[Row], path: Path) -> None:
@@ -217,6 +230,7 @@ def draw(rows: list[Row], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    rows = [r for r in rows if not np.isnan(r.visual)]
     fields = list(dict.fromkeys(r.field for r in rows))
     figure, axes = plt.subplots(
         2, len(fields), figsize=(4 * len(fields), 7), squeeze=False, sharex=True
@@ -232,12 +246,8 @@ def draw(rows: list[Row], path: Path) -> None:
             some = [r for r in mine if (r.noise, r.prior, r.method) == key]
             shots = sorted({r.shots for r in some})
             share = [
-                np.nanmedian(
-                    [
-                        getattr(r, what) / getattr(r, f"prior_{what}")
-                        for r in some
-                        if r.shots == n
-                    ]
+                typical(
+                    [r for r in some if r.shots == n], lambda r, w=what: 1 / better(r, w)
                 )
                 for n in shots
             ]

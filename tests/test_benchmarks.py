@@ -88,6 +88,36 @@ def test_table_one_in_short(tmp_path, capsys):
     assert "gone" not in capsys.readouterr().out
 
 
+def test_table_one_says_which_estimates_failed(monkeypatch, tmp_path, capsys):
+    bench = load("table1")
+    found_by = bench.found_by
+
+    def fails_by_contact(method, *rest):
+        if method == "contact":
+            raise ps.EstimateError("the solver gave up.")
+        return found_by(method, *rest)
+
+    monkeypatch.setattr(bench, "found_by", fails_by_contact)
+    asked = bench.own_plants(["fork"]), ["limb"], ["1mm"], ["map", "contact"], [1], 1
+    rows = bench.main(*asked, tmp_path / "table1.md", queries=2)
+    assert [np.isnan(r.visual) for r in rows] == [False, True]
+    assert "contact, 1 shots: the solver gave up." in capsys.readouterr().out
+    text = (tmp_path / "table1.md").read_text("utf-8")
+    assert "| limb | 1mm | reference | contact | 1 | failed |" in text
+
+
+def test_table_one_takes_meshes_as_equal():
+    bench = load("table1")
+    errors = {"a": (1.0, 2.0, 9.0), "b": (4.0, 4.0, 4.0), "c": (100.0,)}
+    some = [
+        bench.Row(mesh, "rough", "1mm", "reference", "map", 1, i, x, 1.0, 8.0, 1.0, 0.0)
+        for mesh, xs in errors.items()
+        for i, x in enumerate(xs)
+    ]
+    assert bench.typical(some, lambda r: r.visual) == 4.0
+    assert bench.better(some[1], "visual") == 4.0
+
+
 def test_what_every_touch_brings_in_short(capsys):
     bench = load("every_touch")
     bench.main(["fork"], 2, 2)
