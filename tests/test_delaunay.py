@@ -92,6 +92,12 @@ def test_a_point_in_a_triangles_plane_is_in_every_ball():
     assert delaunay(square, short).all()
 
 
+def test_three_in_a_line_have_no_ball():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 1, 3], [1, 1, 3]])
+    assert delaunay(points, faces).tolist() == [False, True, False]
+
+
 def test_a_wrong_diagonal_is_flipped_and_a_crease_is_split():
     # a pyramid over the square, whose base has the longer diagonal
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1.1, 1.1, 0], [0, 1, 0], [0.5, 0.5, 1]])

@@ -72,10 +72,11 @@ def empty_balls(points: Array, faces: Array, tree: KDTree) -> Array:
     u, v = b - a, c - a
     n = np.cross(u, v)
     uu, vv, nn = ((x**2).sum(axis=1)[:, None] for x in (u, v, n))
-    away = (np.cross(n, u) * vv + np.cross(v, n) * uu) / (2 * nn)
-    centre, n, r = a + away, n / np.sqrt(nn), np.linalg.norm(away, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # three in a line have no ball
+        away = (np.cross(n, u) * vv + np.cross(v, n) * uu) / (2 * nn)
+        centre, n, r = a + away, n / np.sqrt(nn), np.linalg.norm(away, axis=1)
     h, low, high = np.zeros(len(r)), -FAR * r, FAR * r
-    live, out = np.arange(len(r)), np.full((len(r), 4), np.nan)
+    live, out = np.flatnonzero(np.isfinite(r)), np.full((len(r), 4), np.nan)
     for _ in range(BALLS):
         x, radius = centre[live] + h[live, None] * n[live], np.hypot(r[live], h[live])
         far, near = map(np.asarray, tree.query(x))
