@@ -56,6 +56,7 @@ def conjugate_step(
 ) -> tuple[Array, Array, Array]:
     """Return -H^-1 g by CG, as far as it pays; its directions P (k, p), P H P^T = 1; H P.
 
+    `inverse`: the preconditioner, or one an iteration, of which the last serves on.
     Every direction is made conjugate to all before it, not to the last alone. H has a few
     eigenvalues a million times the others, which by rounding would be found again and
     again: that took twice the iterations.
@@ -120,7 +121,11 @@ class Memory:
         self.kept = []
 
     def inverse(self, temper: float, among: bool = False) -> Callable[[Array], Array]:
-        """Return the approximate inverse of I + A / temper: L-BFGS, two loops."""
+        """Return the approximate inverse of I + A / temper: L-BFGS, two loops.
+
+        With `among`, of the directions remembered alone: the rest, of which no more than a
+        scale is known, would spoil the step that they give.
+        """
         pairs = []
         for v, Av in self.kept:
             y = v + Av / temper

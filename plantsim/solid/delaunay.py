@@ -2,7 +2,7 @@
 
 A triangle is Delaunay where some ball has its corners on the round and no point inside. If
 all are, each is a face of the Delaunay tetrahedralization of the points (so no two cross),
-and a filler need not recover any, which takes HXT half its time however few are missing.
+and a filler need not recover any: that takes HXT most of its time, however few are lost.
 """
 
 from dataclasses import dataclass
