@@ -7,14 +7,14 @@
 The paper's protocol: the lowest 10 % of the vertices fixed; a touch moves ten of the upper
 85 % together, 15 cm down. Fields: `smooth`, the paper's (mu = 8 - z, lam = 7 + 0.4 y - 0.1
 z); `rough`, log-normal of 0.5, correlated along the plant; `limb`, log-normal of 0.4 by
-limb. Noise: none; 1 mm and 2 % of each reading of force; 3 mm and 5 %, and one camera that
-sees one side of the surface. Prior: `reference`, mu = 1, lam = 10; or `third`, a third of
-the truth's mean moduli. Methods: maximum a posteriori, and force balance by the
-rows of contact (the paper's formula) or of all free vertices, which need every vertex
-around a touched one and so cannot do with one camera. Without a mesh, two plants of our
-own, a fork and an apple of eight limbs. Errors are those of `ps.score` over 12 unseen
-touches, as ratios 0-shot / n-shot: the median over meshes of each one's median over seeds,
-and the range of all.
+limb. Noise: none; 1 mm and 2 % of each reading of force (of a hundredth of the touch's root
+mean square at least); 3 mm and 5 %, and one camera that sees one side of the surface.
+Prior: `reference`, mu = 1, lam = 10; or `third`, a third of the truth's mean moduli.
+Methods: maximum a posteriori, and force balance by the rows of contact (the paper's
+formula) or of all free vertices, which need every vertex around a touched one and so cannot
+do with one camera. Without a mesh, two plants of our own, a fork and an apple of eight
+limbs. Errors are those of `ps.score` over 12 unseen touches, as ratios 0-shot / n-shot: the
+median over meshes of each one's median over seeds, and the range of all.
 
 With `--one-each` seed k goes to mesh k alone. With `--log` every row is kept, and a run
 that was cut goes on where it was.
