@@ -34,7 +34,7 @@ SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
 HALVINGS = 12
 COOLING = 4.0  # the misfit is divided by so much less every iteration, at most
 DEAR = 25.0  # times what is enough to stop at: that rule counts no larger gains
-FIRST = 3  # touches that lead the way
+FIRST = 2  # touches that lead the way
 QUICK = 16.0  # COOLING of theirs
 ROUGH = 100.0  # times the tolerance at which they stop
 BRIEF = 12  # iterations that they have
@@ -179,7 +179,7 @@ def solve(
 
     Where the Hessian is made whole, and not at every iteration, a few touches lead the way:
     their minimum, roughly, is where all begin, if it explains the few. Where it does not,
-    the model errs, and fits three touches by moduli far off.
+    the model errs, and fits them by moduli far off.
     """
     track = _Track(options)
     start = None
