@@ -14,7 +14,7 @@ Every mesh adds a line to a file (--log, by default meshing.jsonl), and what is 
 already is not done again: a run may be ended at any time and taken up later. `table` prints
 the tables of what is there; the other sections end with theirs. Seconds are CPU seconds of
 this process with all its threads and children, from the solid to the mesh of order 2. Seeds
-start at 5000; none of them was used while tuning (those were 0 to 1010).
+start at 5000; tuning was on 0 to 1010, and on 5000 to 5019 for surfaces made Delaunay.
 """
 
 import argparse
